@@ -46,6 +46,8 @@ class OptionInfo:
         The allowed values, such as ``"0 to 4"``; None if they depend on other options.
     choices : tuple of str
         The allowed words; empty for other values.
+    other_names : tuple of str
+        Other names of some of these words, which are allowed too: ``"flip"`` is the preset ``"noisy"``.
     help : str
         The effect of the option, with its unit and its default.
     """
@@ -55,6 +57,7 @@ class OptionInfo:
     kind: str
     range: str | None
     choices: tuple[str, ...]
+    other_names: tuple[str, ...]
     help: str
 
 
@@ -66,10 +69,17 @@ def option_table() -> tuple[OptionInfo, ...]:
     -------
     tuple of OptionInfo
     """
-    rows = _native.option_table()
     return tuple(
-        OptionInfo(row["name"], row["group"], row["kind"], row["range"], tuple(row["choices"]), row["help"])
-        for row in rows
+        OptionInfo(
+            name=row["name"],
+            group=row["group"],
+            kind=row["kind"],
+            range=row["range"],
+            choices=tuple(row["choices"]),
+            other_names=tuple(row["other_names"]),
+            help=row["help"],
+        )
+        for row in _native.option_table()
         if row["name"] not in RESERVED
     )
 

@@ -109,9 +109,9 @@ def reconstruct(
         If an option is out of its range, or the particle spacing cannot be measured. A subclass of
         `ValueError`.
     ParticleError
-        If the voxel size must be measured and there are no particles, no position is finite, an attribute that
-        an option needs is missing, or the voxels are too small for the extent of the frame. A subclass of
-        `ValueError`.
+        If the spacing or the preset must be measured and there are no particles, no position is finite, an
+        attribute that an option needs is missing, or the voxels are too small for the extent of the frame. A
+        subclass of `ValueError`.
     MemoryLimitError
         If the frame needs more memory than the limit. A subclass of `MemoryError`.
     OSError
@@ -122,7 +122,8 @@ def reconstruct(
     Warns
     -----
     UserWarning
-        About options without effect, a resolution that is probably wrong, and particles that were left out.
+        About options without effect, a preset that does not suit the particles or that ``"auto"`` could not
+        choose by them, a resolution that is probably wrong, and particles that were left out.
 
     Examples
     --------
@@ -142,26 +143,28 @@ class Sequence:
     """Reconstructs the frames of a sequence with the settings of the first one.
 
     If each frame had its own measured particle spacing, the surface would flicker. A sequence measures the
-    spacing once, and uses the same voxel size and the same radii for all frames.
+    spacing once, and uses the same voxel size and the same radii for all frames. It also chooses the preset
+    once, with ``preset="auto"``.
 
     Parameters
     ----------
     first_frame : array_like, shape (N, 3), or Particles, optional
-        The frame to measure the spacing on; by default, the first frame that you reconstruct. For a condition
-        in `where`, it must be `Particles` with the attributes. The constructor does not reconstruct its
-        surface. It uses all cores.
+        The frame to measure; by default, the first frame that you reconstruct. For a condition in `where`, it
+        must be `Particles` with the attributes. The constructor does not reconstruct its surface. It uses all
+        cores.
     radii : array_like, shape (N,), optional
         The radii of the particles of `first_frame`.
     velocity : array_like, shape (N, 3), optional
         The velocities of the particles of `first_frame`, which ``anisotropy="velocity"`` needs.
     memory, scratch, **options
-        As for `reconstruct`. With `spacing` the settings do not depend on any frame.
+        As for `reconstruct`. With `spacing`, and a preset other than ``"auto"``, the settings do not depend on
+        any frame.
 
     Notes
     -----
     Several threads may use one sequence: it computes their frames in parallel. Only the measurement on the
-    first frame makes the others wait. ``meniscus convert`` measures the spacing on the first, middle and last
-    frame: pass its result as `spacing` to get the same bytes. Files of obstacles are read once, and again
+    first frame makes the others wait. ``meniscus convert`` measures on the first, middle and last frame: pass
+    its results as `spacing` and `preset` to get the same bytes. Files of obstacles are read once, and again
     after a change.
 
     Examples
@@ -197,12 +200,17 @@ class Sequence:
             self._settings_on(_Given(first_frame, radii, velocity, None, None))
 
     def _settings_on(self, given: _Given) -> dict[str, Any]:
-        """The settings with all lengths in world units. The first call resolves them on its frame."""
+        """The settings with all lengths in world units. The first call resolves them on its frame. A warning
+        points to the caller of the public function."""
+        warning = None
         with self._lock:
             if self._resolved is None:
-                pairs = given.pairs(self._options)
-                self._resolved = as_values(_native.resolve(pairs, given.points, given.attributes))
-            return self._resolved
+                pairs, warning = _native.resolve(given.pairs(self._options), given.points, given.attributes)
+                self._resolved = as_values(pairs)
+            resolved = self._resolved
+        if warning is not None:
+            warnings.warn(warning, stacklevel=3)
+        return resolved
 
     @property
     def settings(self) -> dict[str, Any] | None:

@@ -3,8 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use meniscus::pipeline::ScratchFile;
-use meniscus::surface::{Reconstructor, Settings};
+use meniscus::pipeline::{InputWarning, ScratchFile, Warning};
+use meniscus::surface::options::Preset;
+use meniscus::surface::spacing::estimate_spacing;
+use meniscus::surface::{Attribute, Options, Reconstructor, Settings};
 use pyo3::prelude::*;
 
 use crate::arrays::{Attributes, Given, Positions};
@@ -44,6 +46,7 @@ pub(crate) fn reconstruct(
     let made = run_with_progress(py, threads, progress.as_ref(), |advance| {
         let (attributes, mut warnings) =
             needed_attributes(&attributes, &options).map_err(Failure::Particles)?;
+        warnings.extend(preset_warning(&options, &positions, &attributes));
         let mut reconstructor = Reconstructor::new(options);
         reconstructor.memory_limit(memory).obstacles(obstacles.iter().map(|obstacle| obstacle.shared()));
         if let Some(folder) = scratch {
@@ -82,15 +85,15 @@ impl Failure {
     }
 }
 
-/// The resolved settings, as names and values in text. Lengths that the options leave open are measured on
-/// these particles. Options without effect are left out, except those in `pairs`.
+/// The resolved settings, as names and values in text, and a warning about the preset. What the options leave
+/// open is measured on these particles. Options without effect are left out, except those in `pairs`.
 #[pyfunction]
 pub(crate) fn resolve(
     py: Python<'_>,
     pairs: Pairs,
     points: &Bound<'_, PyAny>,
     attributes: Vec<Given<'_>>,
-) -> PyResult<Vec<(&'static str, String)>> {
+) -> PyResult<(Vec<(&'static str, String)>, Option<String>)> {
     let options = parse(&pairs)?;
     let (positions, attributes) = (Positions::new(points)?, Attributes::new(attributes)?);
     let (positions, attributes) = (positions.as_slice()?, attributes.as_slices()?);
@@ -101,12 +104,46 @@ pub(crate) fn resolve(
             return Err(Failure::Method(meniscus::surface::Error::NoParticles { input_count: 0 }));
         }
         let (attributes, _) = needed_attributes(&attributes, &options).map_err(Failure::Particles)?;
+        let warning = preset_warning(&options, &positions, &attributes);
         let mut reconstructor = Reconstructor::new(options);
         let settings = reconstructor.resolve_on(positions, &attributes);
-        settings.map(Settings::to_options).map_err(Failure::Method)
+        let settings = settings.map(Settings::to_options).map_err(Failure::Method)?;
+        Ok((settings, warning))
     })?;
-    let resolved = resolved.map_err(|failure| failure.raised(Path::new("")))?;
-    Ok(effective_pairs(&resolved, false, &pairs))
+    let (resolved, warning) = resolved.map_err(|failure: Failure| failure.raised(Path::new("")))?;
+    Ok((effective_pairs(&resolved, false, &pairs), warning))
+}
+
+/// A warning if no preset is given and the default does not suit these particles, or if `auto` cannot choose
+/// by them. As on the command line, they are not measured for this if everything is given.
+fn preset_warning(
+    options: &Options,
+    positions: &meniscus::surface::Positions<'_>,
+    attributes: &[Attribute],
+) -> Option<String> {
+    let is_open = options.preset.is_none() || options.is_auto();
+    if !is_open || !options.needs_measuring() {
+        return None;
+    }
+    let chosen = options.r#where.as_ref().map(|filter| filter.chosen(positions, attributes));
+    let estimate = match &chosen {
+        Some(Ok((chosen, _))) => estimate_spacing(chosen),
+        // The condition is reported when the frame is reconstructed.
+        Some(Err(_)) => return None,
+        None => estimate_spacing(positions.clone()),
+    };
+    let irregularity = estimate.and_then(|estimate| estimate.irregularity);
+    let suitable = Preset::for_fluid(irregularity);
+    match irregularity {
+        Some(irregularity) if !options.is_auto() && suitable != Preset::default() => {
+            let warning = Warning::Input(InputWarning::Irregular { irregularity, suitable });
+            Some(format!("{warning}; use `preset=\"{suitable}\"`, or \"granular\" for sand"))
+        }
+        None if options.is_auto() => {
+            Some(Warning::Input(InputWarning::PresetNotMeasured { used: suitable }).to_string())
+        }
+        _ => None,
+    }
 }
 
 /// # Errors

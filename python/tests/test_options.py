@@ -45,6 +45,9 @@ def test_every_option_of_the_core_is_a_keyword():
     assert len(names) > 25 and set(names) - {info.name for info in pm.option_table()} == {"attributes"}
     for info in pm.option_table():
         assert len(info.help) > 10 and info.kind in ("number", "count", "switch", "length", "text")
+    preset = pm.option_table()[0]
+    assert "noisy" in preset.choices and "flip" in preset.other_names
+    assert pm.Options(preset="flip") == pm.Options(preset="noisy")
 
 
 def test_generated_file_is_that_of_the_core():

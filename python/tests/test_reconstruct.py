@@ -289,6 +289,31 @@ def test_auto_becomes_the_preset_that_suits_the_particles(block):
     assert pm.reconstruct(wild, preset="mpm", spacing=0.1).settings["preset"] == "noisy"
 
 
+def test_presets_that_do_not_suit_the_particles_are_warned_about(block):
+    wild = np.random.default_rng(7).random((1000, 3))
+    sheet = {"is_flat": (np.arange(1000) < 100).astype(np.int32)}
+    unsuitable = r'irregularity \d+ %.*; use `preset="noisy"`, or "granular" for sand$'
+    for points, options, text in (
+        (wild, {}, unsuitable),
+        (block, {"preset": "auto", "where": "is_flat == 1"}, "too few particles are surrounded.*: the preset is fluid$"),
+        (block[:100], {"preset": "auto", "spacing": 0.1}, "too few particles"),
+    ):
+        with pytest.warns(UserWarning, match=text) as caught:
+            made = pm.reconstruct(points, attributes=sheet if "where" in options else None, **options)
+        assert {warning.filename for warning in caught} == {__file__}
+        assert [str(warning.message) for warning in caught] == list(made.warnings)
+    sequence = pm.Sequence()
+    with pytest.warns(UserWarning, match=unsuitable) as caught:
+        sequence.reconstruct(wild)
+    assert {warning.filename for warning in caught} == {__file__}
+    with pytest.warns(UserWarning, match=unsuitable):
+        pm.Sequence(wild)
+    # A preset or a spacing was chosen, or the default suits.
+    for options in ({"preset": "fluid"}, {"preset": "auto"}, {"spacing": 0.1}):
+        assert not any("irregular" in warning for warning in pm.reconstruct(wild, **options).warnings)
+    assert pm.reconstruct(block).warnings == ()
+
+
 def test_radii_make_drops_of_different_sizes():
     points = np.array([[0, 0, 0], [10, 0, 0]], np.float32)
     made = pm.reconstruct(points, radii=[0.5, 1.0], spacing=1.0, voxel_size=0.2, anisotropy="none", position_smoothing=0)

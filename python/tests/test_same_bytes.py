@@ -13,7 +13,9 @@ def spacing_of(report: dict) -> float:
     return report["settings"][0]["spacing"]
 
 
-@pytest.mark.parametrize("options", [{}, {"preset": "splash", "quads": True}, {"preset": "paper", "decimate": 0.05}])
+@pytest.mark.parametrize(
+    "options", [{}, {"preset": "auto"}, {"preset": "splash", "quads": True}, {"preset": "paper", "decimate": 0.05}]
+)
 def test_a_file_and_its_arrays(frame, tmp_path, options):
     formats = [name for name in format_names() if name not in ("stl", "png", "exr")]
     report = pm.convert(frame, tmp_path / "command", format=formats, **options)

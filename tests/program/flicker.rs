@@ -156,7 +156,9 @@ fn moving_ball_scores_zero_in_every_format_by_ids_and_by_velocities() {
         );
         let table = folder.path().join("scores.csv");
         assert_eq!([column(&table, "frame"), column(&table, "points")], [[2.0], [500.0]]);
-        assert!(column(&table, "max")[0] < 1e-4, "{}", result.out);
+        for name in ["max", "first", "lag_2"] {
+            assert!(column(&table, name)[0] < 1e-4, "{name}: {}", result.out);
+        }
     }
     let folder = scene(&[1.05; 3], ",id");
     let formats = Format::ALL.into_iter().filter(|format| format.has_mesh());
@@ -187,7 +189,10 @@ fn breathing_ball_scores_its_change_of_radius_with_place_and_time() {
     let table = folder.path().join("s.csv");
     assert_eq!(column(&table, "frame"), [2.0, 3.0, 4.0, 5.0, 6.0]);
     let expected = [0.4, 0.4, 0.4, 0.2, 0.0];
-    for name in ["rms", "median", "p99", "max"] {
+    let first = [0.2, 0.2, 0.2, 0.0, 0.0];
+    let lag_2 = [0.0, 0.0, 0.0, 0.2, 0.0];
+    let same = ["rms", "median", "p99", "max"].map(|name| (name, expected));
+    for (name, expected) in same.into_iter().chain([("first", first), ("lag_2", lag_2)]) {
         for (found, expected) in column(&table, name).iter().zip(expected) {
             assert!((found - expected).abs() < 0.02, "{name}: {found} instead of {expected}");
         }

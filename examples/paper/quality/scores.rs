@@ -95,20 +95,19 @@ fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Ou
         frames.push(FlickerFrame::new(particles, surface, set.spacing));
     }
     let has_ids = frames.iter().all(|frame| frame.has(Carrier::Ids));
-    let carrier = |lag: usize| {
-        if has_ids { Carrier::Ids } else { Carrier::Velocities { seconds: lag as f64 * seconds } }
-    };
+    let carrier = if has_ids { Carrier::Ids } else { Carrier::Velocities { seconds } };
     let second_differences = |three: &[FlickerFrame]| match three {
         [before, middle, after] => {
-            let found = flicker([before, middle, after], carrier(1), set.spacing, POINTS).points;
+            let found = flicker([before, middle, after], carrier, set.spacing, POINTS).points;
             found.iter().map(|point| point.value).collect()
         }
         _ => Vec::new(),
     };
     let flickers: Vec<Vec<f64>> = frames.windows(3).map(second_differences).collect();
-    let distances = |lag: usize| -> Vec<Vec<f64>> {
-        let pairs = frames.iter().zip(frames.iter().skip(lag));
-        let found = pairs.map(|(from, to)| carried_distances(from, to, carrier(lag), set.spacing, POINTS));
+    let distances = |lag: u32| -> Vec<Vec<f64>> {
+        let pairs = frames.iter().zip(frames.iter().skip(lag as usize));
+        let carrier = carrier.over(lag);
+        let found = pairs.map(|(from, to)| carried_distances(from, to, carrier, set.spacing, POINTS));
         found.map(|found| found.into_iter().flatten().collect()).collect()
     };
     let [first, lag2] = [1, 2].map(|lag| with_error(&distances(lag)));

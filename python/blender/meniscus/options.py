@@ -91,7 +91,8 @@ def all_properties(update: Update) -> dict[str, Any]:
     made: dict[str, Any] = {}
     for info in SHOWN:
         made.update(properties_of(info, update))
-    items = [(name, label_of(name), "") for name in PRESETS.choices]
+    # Each frame is measured by itself: with auto, the preset could change from one frame to the next.
+    items = [(name, label_of(name), "") for name in PRESETS.choices if name != "auto"]
     made["preset"] = EnumProperty(
         name="Preset", items=items, default=default_of(PRESETS)[0], description=PRESETS.help, update=update
     )

@@ -19,7 +19,9 @@ use crate::pipeline::{
     FrameFile, MeshFile, Sequence, are_same_file, common_step, file_of, keep_chosen, measure_spacing,
     particles, read_file, shown,
 };
-use crate::surface::flicker::{CARRY_REACH, Carrier, Distribution, FlickerFrame, MovingParticles, flicker};
+use crate::surface::flicker::{
+    CARRY_REACH, Carrier, Distribution, FlickerFrame, MovingParticles, carried_distances, flicker,
+};
 use crate::surface::obstacle::MeshDistance;
 use crate::surface::options::SpacingOptions;
 use crate::surface::particles::ParticleFilter;
@@ -144,7 +146,12 @@ impl Scoring<'_> {
                 significant(CARRY_REACH * self.spacing)
             ));
         }
-        Ok(Some(ScoredFrame::new(number, name, found)))
+        let spacing = self.spacing;
+        let distances = |from: &FlickerFrame, to: &FlickerFrame, carrier: Carrier| -> Vec<f64> {
+            carried_distances(from, to, carrier, spacing, samples).into_iter().flatten().collect()
+        };
+        let drifts = [distances(middle, after, carrier), distances(before, after, carrier.over(2))];
+        Ok(Some(ScoredFrame::new(number, name, found, drifts)))
     }
 
     /// Reads a frame. If it cannot be read, prints the error and returns `None`.
@@ -218,13 +225,13 @@ impl Scoring<'_> {
 }
 
 fn line_of(frame: &ScoredFrame) -> String {
-    let ScoredFrame { name, summary, untracked_count, clamped_count, .. } = frame;
+    let ScoredFrame { name, summary, drifts, untracked_count, clamped_count, .. } = frame;
     if summary.count == 0 {
         return format!(
             "{name}: not scored: no point on the surface can be tracked to both neighbouring frames"
         );
     }
-    let mut line = format!("{name}: {}", numbers_of(summary));
+    let mut line = format!("{name}: {}, {}", numbers_of(summary), drifts_of(drifts));
     if *clamped_count > 0 {
         line += &format!(", {clamped_count} of {} points clamped", summary.count);
     }
@@ -239,6 +246,10 @@ fn numbers_of(summary: &Distribution) -> String {
     format!("flicker {rms:.4} (median {median:.4}, 99 % {percentile_99:.4}, max {max:.4})")
 }
 
+fn drifts_of([first, lag_2]: &[Distribution; 2]) -> String {
+    format!("first difference {:.4}, lag 2 {:.4}", first.rms, lag_2.rms)
+}
+
 fn report(
     frames: &FlickerFrames,
     totals: &FlickerTotals,
@@ -248,7 +259,8 @@ fn report(
     console: &mut Console,
 ) {
     let count = pluralize(totals.frames.iter().filter(|frame| frame.summary.count > 0).count(), "frame");
-    console.print_line(format_args!("{}: {} spacings, {count}", frames.name, numbers_of(summary)));
+    let drifts = drifts_of(&totals.drifts());
+    console.print_line(format_args!("{}: {}, {drifts} spacings, {count}", frames.name, numbers_of(summary)));
     let carrier = match carrier {
         Carrier::Ids => "ids".to_owned(),
         Carrier::Velocities { seconds } => format!("velocities, {} s between frames", significant(seconds)),

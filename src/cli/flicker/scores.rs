@@ -19,13 +19,21 @@ pub(super) struct ScoredFrame {
     pub(super) number: i64,
     pub(super) name: String,
     pub(super) summary: Distribution,
+    /// The distances of carried points from the surface: see [`DriftValues`].
+    pub(super) drifts: [Distribution; 2],
     pub(super) untracked_count: usize,
     pub(super) clamped_count: usize,
     /// The point with the most flicker; `None` if no point can be tracked to both neighbouring frames.
     pub(super) worst: Option<ScoredPoint>,
     /// All points, until they are no longer needed.
     points: Vec<ScoredPoint>,
+    /// Until they are in the totals.
+    drift_values: DriftValues,
 }
+
+/// The signed distances, in particle spacings, of points on a surface that particles carry: from this frame to
+/// the next (the first difference), and from the frame before to the next (lag 2).
+type DriftValues = [Vec<f64>; 2];
 
 /// A point with its position in world units and its flicker in particle spacings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,14 +50,30 @@ const WORST_POINTS: usize = 1000;
 const WORST_FRAMES: usize = 6;
 
 impl ScoredFrame {
-    pub(super) fn new(number: i64, name: String, found: FrameFlicker) -> ScoredFrame {
+    pub(super) fn new(
+        number: i64,
+        name: String,
+        found: FrameFlicker,
+        drift_values: DriftValues,
+    ) -> ScoredFrame {
         let FrameFlicker { points, untracked_count, clamped_count } = found;
         let worse = |one: ScoredPoint, other: &ScoredPoint| {
             if other.value.abs() > one.value.abs() { *other } else { one }
         };
         let worst = points.first().map(|&first| points.iter().fold(first, worse));
         let summary = Distribution::of(points.iter().map(|point| point.value));
-        ScoredFrame { number, name, summary, untracked_count, clamped_count, worst, points }
+        let drifts = drift_values.each_ref().map(|values| Distribution::of(values.iter().copied()));
+        ScoredFrame {
+            number,
+            name,
+            summary,
+            drifts,
+            untracked_count,
+            clamped_count,
+            worst,
+            points,
+            drift_values,
+        }
     }
 
     /// Its points, if it is one of the worst frames.
@@ -66,18 +90,29 @@ pub(super) struct FlickerTotals {
     pub(super) worst_points: Vec<WorstPoint>,
     /// The flicker of all points, in 32 bits because there may be millions.
     values: Vec<f32>,
+    /// The distances of all carried points.
+    drift_values: [Vec<f32>; 2],
     keeps_points: bool,
 }
 
 impl FlickerTotals {
     /// Empty totals. With `keeps_points`, they keep all points of the worst frames, for a picture.
     pub(super) fn new(keeps_points: bool) -> FlickerTotals {
-        FlickerTotals { frames: Vec::new(), worst_points: Vec::new(), values: Vec::new(), keeps_points }
+        FlickerTotals {
+            frames: Vec::new(),
+            worst_points: Vec::new(),
+            values: Vec::new(),
+            drift_values: Default::default(),
+            keeps_points,
+        }
     }
 
     /// Adds a frame, whose number is greater than the earlier ones.
-    pub(super) fn add(&mut self, frame: ScoredFrame) {
+    pub(super) fn add(&mut self, mut frame: ScoredFrame) {
         self.values.extend(frame.points.iter().map(|point| point.value as f32));
+        for (all, values) in self.drift_values.iter_mut().zip(std::mem::take(&mut frame.drift_values)) {
+            all.extend(values.into_iter().map(|value| value as f32));
+        }
         let worst = |&ScoredPoint { position, value, .. }: &ScoredPoint| WorstPoint {
             frame: frame.number,
             position: DVec3::to_array(&position),
@@ -109,6 +144,11 @@ impl FlickerTotals {
     pub(super) fn summary(&self) -> Distribution {
         Distribution::of(self.values.iter().map(|&value| value.into()))
     }
+
+    /// The summaries of the first difference and of lag 2, of all points of all frames.
+    pub(super) fn drifts(&self) -> [Distribution; 2] {
+        self.drift_values.each_ref().map(|values| Distribution::of(values.iter().map(|&value| value.into())))
+    }
 }
 
 // Writes scores as CSV.
@@ -116,17 +156,26 @@ impl FlickerTotals {
 /// Writes a row for each frame. Lengths are in particle spacings, and positions in world units. The scores of
 /// a frame are empty if none of its points can be tracked to both neighbouring frames.
 pub(super) fn write_frames(frames: &[ScoredFrame], out: &mut dyn Write) -> io::Result<()> {
-    writeln!(out, "frame,points,untracked,clamped,rms,median,p99,max,max_x,max_y,max_z")?;
+    writeln!(out, "frame,points,untracked,clamped,rms,median,p99,max,first,lag_2,max_x,max_y,max_z")?;
     for frame in frames {
-        let ScoredFrame { number, summary, untracked_count, clamped_count, worst, .. } = frame;
+        let ScoredFrame {
+            number,
+            summary,
+            drifts: [first, lag_2],
+            untracked_count,
+            clamped_count,
+            worst,
+            ..
+        } = frame;
+        let (first, lag_2) = (first.rms, lag_2.rms);
         let Distribution { count, rms, median, percentile_99, max } = summary;
         write!(out, "{number},{count},{untracked_count},{clamped_count}")?;
         match worst {
             Some(worst) => {
                 let [x, y, z] = worst.position.to_array();
-                writeln!(out, ",{rms},{median},{percentile_99},{max},{x},{y},{z}")?;
+                writeln!(out, ",{rms},{median},{percentile_99},{max},{first},{lag_2},{x},{y},{z}")?;
             }
-            None => writeln!(out, ",,,,,,,")?,
+            None => writeln!(out, ",,,,,,,,,")?,
         }
     }
     Ok(())
@@ -299,6 +348,7 @@ mod tests {
             number,
             format!("f{number}"),
             FrameFlicker { points, untracked_count: 1, clamped_count: 0 },
+            [values.to_vec(), Vec::new()],
         )
     }
 
@@ -318,6 +368,7 @@ mod tests {
             totals.worst_points.iter().take(4).map(|point| (point.frame, point.value)).collect();
         assert_eq!(first, [(7, -18.0), (10, -16.0), (3, -10.0), (4, -10.0)]);
         assert_eq!((totals.summary().count, totals.summary().max), (20, 18.0));
+        assert_eq!(totals.drifts().map(|drift| drift.count), [20, 0]);
         assert_eq!(totals.frames[6].worst.map(|point| point.value), Some(-18.0));
         totals.add(frame(12, &[1.0; 2000]));
         assert_eq!(totals.worst_points.len(), WORST_POINTS);

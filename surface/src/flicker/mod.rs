@@ -40,6 +40,16 @@ pub enum Carrier {
     },
 }
 
+impl Carrier {
+    /// The carrier between frames that are `lag` times as far apart.
+    pub fn over(self, lag: u32) -> Carrier {
+        match self {
+            Carrier::Ids => Carrier::Ids,
+            Carrier::Velocities { seconds } => Carrier::Velocities { seconds: f64::from(lag) * seconds },
+        }
+    }
+}
+
 /// The particles of a frame, and their motion.
 #[derive(Clone, Debug)]
 pub struct MovingParticles {
