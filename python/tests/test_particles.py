@@ -78,9 +78,9 @@ def test_attributes_of_particles_are_selected_by_name(frame, tmp_path):
     path = tmp_path / "frame.npz"
     np.savez(path, position=points, velocity=points, age=points[:, 0])
     particles = pm.read(path)
-    named = pm.reconstruct(particles, attributes=["age"])
+    named = pm.reconstruct(particles, preset="noisy", attributes=["age"])
     assert set(named.attributes) == {"age"}
-    assert set(pm.reconstruct(particles, attributes="all").attributes) == {"velocity", "age"}
-    assert not pm.reconstruct(particles).attributes
+    assert set(pm.reconstruct(particles, preset="noisy", attributes="all").attributes) == {"velocity", "age"}
+    assert not pm.reconstruct(particles, preset="noisy").attributes
     with pytest.warns(UserWarning, match="heat"):
-        pm.reconstruct(particles, attributes=["age", "heat"])
+        pm.reconstruct(particles, preset="noisy", attributes=["age", "heat"])

@@ -257,7 +257,7 @@ def test_every_option_changes_something_or_is_refused(block):
     values = {"number": 0.5, "count": 3, "switch": True, "length": "2h"}
     special = {"preset": "splash", "radius_min": "1.2d", "radius_ratio": 2.5, "radius_init": "1.5d", "spacing": 0.1,
                "voxel_size": "0.5d", "clip": (0, 0, 0, 0.5, 0.5, 0.5), "radius_attribute": "r", "max_stretch": 3.0,
-               "thin_radius": "0.5d", "lone_radius": "0.8d", "neighbor_radius": "3d", "offset": "0.1h",
+               "thin_radius": "0.5d", "lone_radius": "0.5d", "neighbor_radius": "3d", "offset": "0.1h",
                "step_size": 1.0, "fill_cavities": 4.0, "where": "r > 0"}  # fmt: skip
     needs = {"radius_attribute": {}, "radius_scale": {"radius_attribute": "r"},
              "velocity_gain": {"anisotropy": "velocity"}}  # fmt: skip
@@ -443,7 +443,7 @@ def test_other_threads_run_during_a_call():
 
     def work():
         start = time.perf_counter()
-        pm.reconstruct(points, velocity=points, steps=8)
+        pm.reconstruct(points, preset="noisy", velocity=points, steps=8)
         seconds.append(time.perf_counter() - start)
 
     worker = threading.Thread(target=work)
