@@ -85,6 +85,9 @@ impl Failure {
     }
 }
 
+/// Names and values of settings, and a warning about them.
+type Resolved = (Vec<(&'static str, String)>, Option<String>);
+
 /// The resolved settings, as names and values in text, and a warning about the preset. What the options leave
 /// open is measured on these particles. Options without effect are left out, except those in `pairs`.
 #[pyfunction]
@@ -93,7 +96,7 @@ pub(crate) fn resolve(
     pairs: Pairs,
     points: &Bound<'_, PyAny>,
     attributes: Vec<Given<'_>>,
-) -> PyResult<(Vec<(&'static str, String)>, Option<String>)> {
+) -> PyResult<Resolved> {
     let options = parse(&pairs)?;
     let (positions, attributes) = (Positions::new(points)?, Attributes::new(attributes)?);
     let (positions, attributes) = (positions.as_slice()?, attributes.as_slices()?);
