@@ -287,8 +287,7 @@ impl fmt::Display for InputWarning {
             }
             InputWarning::Irregular { irregularity, suitable } => write!(
                 f,
-                "the particles are spaced irregularly (irregularity {} %), which the preset {suitable} suits better than \
-                 {}",
+                "the particles are spaced irregularly (irregularity {} %): the preset {suitable} suits them better than {}",
                 (100.0 * irregularity).round(),
                 Preset::default()
             ),

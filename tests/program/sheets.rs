@@ -5,6 +5,7 @@ use std::fs::{self, File};
 use std::io::BufReader;
 use std::path::Path;
 
+use meniscus::surface::Preset;
 use meniscus_formats::{OutputFormat, read_provenance};
 use tempfile::tempdir;
 
@@ -285,6 +286,19 @@ fn each_cell_is_what_its_command_reads_and_measures() {
     assert_eq!(result.status, 0, "{}", result.err);
     assert!(result.out.contains("3: position-smoothing 0.5 (as typed): "), "{}", result.out);
     assert_eq!(commands(&result.out).len(), 4);
+}
+
+#[test]
+fn what_is_varied_by_default_suits_every_preset_and_grid() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("block.ply"), &block(5, 0.0));
+    let tune = ["tune", "block.ply", "-o", "t.png", "--size", SIZE];
+    let presets = Preset::ALL.iter().map(|preset| ["--preset", preset.name()]);
+    for more in presets.chain([["--voxel-size", "0.5d"], ["--voxel-size", "0.2d"]]) {
+        let result = meniscus(path, &[&tune[..], &more[..]].concat());
+        assert_eq!((result.status, commands(&result.out).len()), (0, 16), "{more:?}: {}", result.err);
+    }
 }
 
 #[test]

@@ -394,7 +394,9 @@ fn frames_in(folder: &Path, window: Option<RangeInclusive<usize>>) -> Outcome<Ve
     paths.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
     let window = window.unwrap_or(0..=paths.len().wrapping_sub(1));
     let chosen = paths.get(window.clone()).filter(|chosen| !chosen.is_empty());
-    let chosen = chosen.ok_or_else(|| format!("{}: {} frames", folder.display(), paths.len()))?;
+    let chosen = chosen.ok_or_else(|| {
+        format!("{}: the window is empty or beyond the {} frames", folder.display(), paths.len())
+    })?;
     window.zip(chosen).map(|(number, path)| frame_in(path, number)).collect()
 }
 

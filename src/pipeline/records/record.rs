@@ -219,8 +219,9 @@ fn settings_of_particles(settings: &Settings, outputs: &OutputOptions, obstacles
         ("redistance_every", json!(settings.redistance_every)),
         ("contour", json!(settings.contouring.name())),
     ]);
-    // `quads` depends on the outputs, and `void_threshold` on the obstacles, so they are added below.
-    let is_other = |name: &str| name == "quads" || name == "void_threshold";
+    // `quads` depends on the outputs, and `void_threshold` on the obstacles, so they are added below. The
+    // spacing has a key of its own.
+    let is_other = |name: &str| ["quads", "void_threshold", "spacing"].contains(&name);
     let more = settings.pairs(|name| !is_other(name) && named.0.iter().all(|(named, _)| *named != name));
     let mut more: BTreeMap<&str, String> = more.into_iter().collect();
     if !obstacles.is_empty() {

@@ -221,7 +221,7 @@ fn stretched(velocity: DVec3, scale: f32, most: f64, config: &VelocityConfig) ->
 const COMPANY_NONE: f32 = 3.0;
 
 /// From this weight of neighbours on, a particle is in full company. At a radius of 2.6 spacings the sum of
-/// the weights is 24 inside, 16 at a plane surface, 8 in a sheet, 5 at the edge of a sheet and 2 in a line.
+/// the weights is 23 inside, 16 at a plane surface, 9 in a sheet, 5 at the edge of a sheet and 2 in a line.
 const COMPANY_FULL: f32 = 12.0;
 
 /// The weight of neighbours counts this much more in an entirely flat neighbourhood.
@@ -259,15 +259,16 @@ struct Surroundings<V> {
 }
 
 impl<V: Lanes> Surroundings<V> {
-    /// From the moments of the neighbourhoods. `weight_scale` is that of [`NeighborConfig`].
+    /// From the moments of the neighbourhoods, and for each particle the factor from its sum of weights to the
+    /// one that its company is computed from.
     #[inline(always)]
-    fn new(moments: &[[f32; 8]; MOMENT_COUNT], weight_scale: f32) -> Surroundings<V> {
+    fn new(moments: &[[f32; 8]; MOMENT_COUNT], weight_scales: &[f32; 8]) -> Surroundings<V> {
         let (mean, covariance) = mean_and_covariance::<V>(moments);
         let Eigen { values, vectors } = eigen(covariance);
         let [a, b, c] = values.map(|value| value.max(V::splat(SPREAD_MIN)));
         let flatness = V::splat(1.0).sub(a.min(b).min(c).div(a.max(b).max(c)).sqrt());
         // Without the particle itself.
-        let weight = V::load(&moments[0]).sub(V::splat(1.0)).mul(V::splat(weight_scale));
+        let weight = V::load(&moments[0]).sub(V::splat(1.0)).mul(V::load(weight_scales));
         let company = company(weight, flatness);
         Surroundings { mean, eigen: Eigen { values: [a, b, c], vectors }, flatness, company }
     }

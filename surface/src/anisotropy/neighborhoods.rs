@@ -9,7 +9,7 @@
 //! ```
 //!
 //! At the plane surface of a body, all particles within R are on one side. Their standard deviation normal to
-//! the surface is 0.56 of that along the surface, so the particle is flattened to 0.56.
+//! the surface is 0.56 of that along the surface: not flat enough for a flat particle.
 //!
 //! (Yu and Turk use 1 − (d/R)³, whose slope jumps at R: a neighbour that comes within reach would pull
 //! suddenly.)
@@ -40,6 +40,9 @@ pub struct NeighborConfig {
     /// Factor from a sum of weights within the radius to one within 2.6 spacings, for which the limits of
     /// company are given.
     pub weight_scale: f32,
+    /// The spacing of particles of scale 1 with their own size, over the spacing of the sequence: 1 without
+    /// per-particle radii.
+    pub own_spacing: f32,
     /// How particles are stretched; `None` if only means are needed.
     pub stretch: Option<Stretch>,
 }
@@ -168,16 +171,9 @@ struct ParticleRun<'a> {
 impl Kernel for ParticleRun<'_> {
     type Output = ShapeCounts;
 
-    #[inline(always)]
-    fn run<V: Lanes>(self) -> ShapeCounts {
-        self.run_with::<V>()
-    }
-}
-
-impl ParticleRun<'_> {
     /// Computes the moments of each particle, and from these its mean and its shape, eight at a time.
     #[inline(always)]
-    fn run_with<V: Lanes>(mut self) -> ShapeCounts {
+    fn run<V: Lanes>(mut self) -> ShapeCounts {
         let mut surroundings = NeighborPackets::default();
         let mut within = Vec::new();
         let mut counts = ShapeCounts::default();
@@ -206,7 +202,9 @@ impl ParticleRun<'_> {
         }
         counts
     }
+}
 
+impl ParticleRun<'_> {
     /// Computes means and shapes of up to eight particles, starting at `first`, from their moments.
     #[inline(always)]
     fn finish<V: Lanes>(
@@ -215,16 +213,21 @@ impl ParticleRun<'_> {
         first: usize,
         count: usize,
     ) -> ShapeCounts {
-        let surroundings = Surroundings::<V>::new(moments, self.config.weight_scale);
+        let mut scales = [1.0; 8];
+        for (scale, &slot) in scales.iter_mut().zip(&self.slots[first..first + count]) {
+            *scale = scale_of(self.scales, self.neighbors.indices()[slot as usize] as usize);
+        }
+        // Of larger particles fewer fit within the radius, and each stands for more fluid.
+        let weight_scales = scales.map(|scale| {
+            let size = (self.config.own_spacing * scale).max(1.0);
+            self.config.weight_scale * (size * size * size)
+        });
+        let surroundings = Surroundings::<V>::new(moments, &weight_scales);
         let means = surroundings.means();
         for (k, mean) in self.means[first..first + count].iter_mut().enumerate() {
             *mean = means.map(|along| along[k]);
         }
         let Some(stretch) = self.config.stretch else { return ShapeCounts::default() };
-        let mut scales = [1.0; 8];
-        for (scale, &slot) in scales.iter_mut().zip(&self.slots[first..first + count]) {
-            *scale = scale_of(self.scales, self.neighbors.indices()[slot as usize] as usize);
-        }
         let limits = Stretch { max_stretch: stretch.max_stretch.max(1.0), ..stretch };
         let eights = surroundings.shapes(&scales, limits);
         self.shapes[first..first + count].copy_from_slice(&eights.shapes[..count]);
@@ -244,8 +247,8 @@ impl ParticleRun<'_> {
 // order in which numbers are added, and cannot change the last bit of a sum.
 //
 // For a particle at p, with w = (1 − (d/R)³)² for a particle x at the distance d (the square of Yu and Turk
-// 2010, Eq. 11), the sums are W = Σ w, Σ w·(x − p) and Σ w·(x − p)(x − p)ᵀ over all x, including p itself. The differences
-// x − p are small numbers, so mean and covariance (Eq. 9 and 10) lose no precision.
+// 2010, Eq. 11), the sums are W = Σ w, Σ w·(x − p) and Σ w·(x − p)(x − p)ᵀ over all x, including p itself.
+// The differences x − p are small numbers, so mean and covariance (Eq. 9 and 10) lose no precision.
 
 /// Number of sums: W; then the sums of w·x, w·y and w·z; then those of w·xx, w·yy, w·zz, w·xy, w·xz and w·yz.
 pub(super) const MOMENT_COUNT: usize = 10;

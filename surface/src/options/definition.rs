@@ -86,7 +86,8 @@ method_options! {
             #[value(named("RATIO"))]
             radius_ratio: f64,
 
-            /// Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.5 r_min]
+            /// Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.5 r_min, or
+            /// less if r_min is raised for coarse voxels]
             #[value(named("LENGTH"))]
             radius_init: Length,
 

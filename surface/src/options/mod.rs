@@ -362,8 +362,8 @@ impl Settings {
     }
 
     /// Approximate distance from the outermost particles of a fluid at rest to its surface, world units. With
-    /// anisotropy by neighbours, these particles are flattened and the surface lies where the fluid ends,
-    /// half a spacing away. Otherwise it lies at r_min or beyond. Pictures put the ground at this height.
+    /// anisotropy by neighbours, the surface lies where the fluid ends, half a spacing away. Otherwise it lies
+    /// at r_min or beyond. Pictures put the ground at this height.
     pub fn resting_height(&self) -> f64 {
         match self.anisotropy {
             Anisotropy::Neighbors { .. } => self.radius_min.min(0.5 * self.spacing),

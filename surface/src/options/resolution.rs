@@ -304,9 +304,13 @@ const OFF: [(&str, &str); 6] = [
     ("quads", "false"),
 ];
 
-/// Options that files omit because recorded values imply them: all values contain the preset, all lengths the
-/// spacing, and r_max the ratio.
-const IMPLIED: [&str; 3] = ["preset", "spacing", "radius_ratio"];
+/// Options that files omit because recorded values imply them: all values contain the preset, and r_max the
+/// ratio.
+const IMPLIED: [&str; 2] = ["preset", "radius_ratio"];
+
+/// Options that change something only if neighbours shape or move particles. The lengths contain the spacing;
+/// beside them it determines which particles are in company.
+const OF_NEIGHBORS: [&str; 2] = ["spacing", "position_smoothing"];
 
 /// Files record these after all others, in this order.
 const LAST: [&str; 8] =
@@ -372,7 +376,7 @@ impl Settings {
     pub fn pairs(&self, is_relevant: impl Fn(&str) -> bool) -> Pairs {
         let changes_something = |(name, value): &(&str, String)| {
             let is_off = OFF.contains(&(*name, value)) || IMPLIED.contains(name);
-            let is_used = *name != "position_smoothing" || self.uses_neighbors();
+            let is_used = !OF_NEIGHBORS.contains(name) || self.uses_neighbors();
             is_used && !is_off
         };
         let mut pairs = self.to_options().to_pairs();

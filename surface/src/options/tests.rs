@@ -308,6 +308,34 @@ fn options_are_checked_before_the_voxel_size_is_known() {
     }
 }
 
+/// Beside the lengths, the spacing decides which particles are in company.
+#[test]
+fn spacing_is_recorded_where_neighbors_matter() {
+    let lengths = [
+        ("voxel_size", "0.3"),
+        ("radius_min", "0.6"),
+        ("radius_init", "0.9"),
+        ("neighbor_radius", "2.6"),
+        ("thin_radius", "0.4"),
+        ("lone_radius", "0.6"),
+        ("laplacian_steps", "20"),
+        ("step_size", "1"),
+        ("fill_cavities", "0"),
+    ];
+    let pairs = |more: &[(&str, &str)], spacing: f64| {
+        let options = options(&[&lengths[..], more].concat());
+        Settings::resolve(&options, Some(SequenceSpacing::from(spacing))).expect("sound").pairs(|_| true)
+    };
+    assert_ne!(pairs(&[], 1.0), pairs(&[], 1.1));
+    let alone = [("anisotropy", "none"), ("position_smoothing", "0")];
+    let alone = |spacing| {
+        let lengths = lengths.iter().filter(|(name, _)| !["thin_radius", "lone_radius"].contains(name));
+        let options = options(&lengths.chain(&alone).copied().collect::<Vec<_>>());
+        Settings::resolve(&options, Some(SequenceSpacing::from(spacing))).expect("sound").pairs(|_| true)
+    };
+    assert_eq!(alone(1.0), alone(1.1));
+}
+
 /// Parses options from text.
 fn options(pairs: &[(&str, &str)]) -> MethodOptions {
     MethodOptions::from_pairs(pairs.iter().copied()).expect("options")

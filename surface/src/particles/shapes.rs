@@ -87,9 +87,9 @@ pub struct Ellipsoid {
     pub to_unit_ball: [f32; 6],
     /// The longest semi-axis: no point of the ellipsoid is farther from its centre.
     pub longest: f32,
-    /// The particle's own r_init, in units of that of the settings: 1, or less for a particle in spray.
+    /// r_init of this particle over r_init of the settings, for the same semi-axes: 1, or less in spray.
     pub init: f32,
-    /// The particle's own r_max, in units of that of the settings: 1, or less for a particle in spray.
+    /// The same for r_max.
     pub max: f32,
 }
 

@@ -1,8 +1,8 @@
 //! Signed distances to unions of balls of different radii, and of ellipsoids (paper, Eq. 1, Fig. 11 and 13).
 //!
-//! The block below gives the value of a particle at a voxel x, for each of the three radii r. p is the
-//! particle's center, s its size relative to the settings' radii, and T the symmetric matrix that maps its
-//! ellipsoid of radius 1 to the unit ball.
+//! The block below gives the value of a particle at a voxel x, for each of its three radii r. p is the
+//! particle's center, s its size in units of the radii, and T the symmetric matrix that maps its ellipsoid of
+//! radius 1 to the unit ball.
 //!
 //! ```text
 //!   ball        |x − p| − s·r                             exact

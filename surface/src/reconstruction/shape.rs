@@ -365,7 +365,17 @@ fn numbers<'a>(
 /// How neighbors move and stretch particles.
 fn neighbor_config(settings: &Settings) -> NeighborConfig {
     let weight_scale = (COMPANY_RADIUS * settings.spacing / settings.neighbor_radius).powi(3) as f32;
-    NeighborConfig { radius_world: settings.neighbor_radius, weight_scale, stretch: stretch(settings) }
+    // The radius of a particle is half the spacing of particles of its size.
+    let own_spacing = settings
+        .per_particle_radius
+        .as_ref()
+        .map_or(1.0, |own| (2.0 * settings.radius_min / (own.scale * settings.spacing)) as f32);
+    NeighborConfig {
+        radius_world: settings.neighbor_radius,
+        weight_scale,
+        own_spacing,
+        stretch: stretch(settings),
+    }
 }
 
 /// How neighbors stretch particles, if at all.
@@ -400,10 +410,11 @@ fn resolved_radius(settings: &Settings) -> f32 {
     (3f64.sqrt() * settings.voxel_size / settings.radius_min) as f32
 }
 
-/// Lower bound of all semi-axes, in units of the settings' radii.
+/// Lower bound of all semi-axes, in units of the settings' radii, also at a particle's own r_init.
 pub(super) fn min_scale(settings: &Settings) -> f32 {
-    stretch(settings)
-        .map_or(resolved_radius(settings), |stretch| resolved_radius(settings).min(stretch.floor))
+    let resolved = resolved_radius(settings);
+    // The semi-axes of spray are resolved, and shortest at its r_init; all others are at least the floor.
+    stretch(settings).map_or(resolved, |stretch| (resolved * stretch.lone_shares[0]).min(stretch.floor))
 }
 
 /// The semi-axis for which the width of the band is computed, in units of the settings' radii. It is the same

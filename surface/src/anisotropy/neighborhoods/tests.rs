@@ -34,7 +34,7 @@ fn from_neighbors(particles: &OwnedPositions, scales: Option<&[f32]>, config: &C
 fn shaped(particles: &OwnedPositions, scales: Option<&[f32]>, config: &Config, level: SimdLevel) -> Whole {
     let &Config { radius_world, max_stretch, position_smoothing, floor } = config;
     let stretch = Stretch { max_stretch, floor, lone: 1.0, lone_floor: floor, lone_shares: [1.0; 2] };
-    let config = NeighborConfig { radius_world, weight_scale: 1.0, stretch: Some(stretch) };
+    let config = NeighborConfig { radius_world, weight_scale: 1.0, own_spacing: 1.0, stretch: Some(stretch) };
     let found = neighbor_shapes(particles, |_| true, scales, &config, level);
     // The means of the positions are the same if no shapes are computed.
     let means =
@@ -342,6 +342,7 @@ fn results_do_not_depend_on_which_particles_are_wanted() {
     let config = NeighborConfig {
         radius_world: 2.6,
         weight_scale: 1.0,
+        own_spacing: 1.0,
         stretch: Some(Stretch {
             max_stretch: 4.0,
             floor: 1e-3,
@@ -358,6 +359,34 @@ fn results_do_not_depend_on_which_particles_are_wanted() {
     let found = (0..some.indices.len()).map(|slot| (some.indices[slot], some.means[slot], some.shapes[slot]));
     assert!(some.indices.len() > 100);
     assert_eq!(found.collect::<Vec<_>>(), expected.collect::<Vec<_>>());
+}
+
+/// Company is counted within the same distance whatever the radius, and frees r_init and r_max.
+#[test]
+fn spray_has_tighter_radii_at_any_search_radius() {
+    let stretch =
+        Stretch { max_stretch: 4.0, floor: 1e-3, lone: 1.0, lone_floor: 1e-3, lone_shares: [0.5, 0.25] };
+    // A body, a thread, whose company is between none and full, and a lone particle.
+    let mut points = lattice([5, 5, 5], 0.0);
+    points.push(DVec3::splat(30.0));
+    let thread = points.len() + 10;
+    points.extend((0..20).map(|index| DVec3::new(f64::from(index), 50.0, 0.0)));
+    let radii = |radius_world: f64| {
+        let weight_scale = (2.6 / radius_world).powi(3) as f32;
+        let config = NeighborConfig { radius_world, weight_scale, own_spacing: 1.0, stretch: Some(stretch) };
+        let found = super::from_neighbors(&double(&points), |_| true, None, &config);
+        let of = |wanted: usize| {
+            let slot = found.indices.iter().position(|&index| index as usize == wanted).expect("wanted");
+            [found.shapes[slot].init, found.shapes[slot].max]
+        };
+        [of(points.iter().position(|point| *point == DVec3::ZERO).expect("the middle")), of(1331), of(thread)]
+    };
+    let ([body, lone, thread], [wide_body, wide_lone, wide_thread]) = (radii(2.6), radii(3.0));
+    assert_eq!([body, wide_body], [[1.0; 2]; 2]);
+    assert_eq!([lone, wide_lone], [[0.5, 0.25]; 2]);
+    for [init, max] in [thread, wide_thread] {
+        assert!((0.51..0.75).contains(&init) && (0.26..0.6).contains(&max), "{init}, {max}");
+    }
 }
 
 #[test]
