@@ -28,7 +28,7 @@ class OptionValues(TypedDict, total=False):
     radius_ratio : float
         Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle, and r_max is at most 64h [default: 3]
     radius_init : float | str
-        Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.5 r_min]
+        Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.5 r_min, or less if r_min is raised for coarse voxels]
     offset : float | str
         Move the finished surface outward by this distance, -r_min to 2 h; negative moves it inward [default: 0]
     where : str | Sequence[bool] | NDArray[np.bool_]
