@@ -226,6 +226,7 @@ fn print_shapes(pools: &[ThreadPool; 2]) {
     let config = NeighborConfig {
         radius_world: 1.5 * 3f64.sqrt() * spacing,
         weight_scale: 1.0,
+        own_spacing: 1.0,
         stretch: Some(Stretch {
             max_stretch: 4.0,
             floor: 1.0,
