@@ -34,7 +34,9 @@ fn from_neighbors(particles: &OwnedPositions, scales: Option<&[f32]>, config: &C
 fn shaped(particles: &OwnedPositions, scales: Option<&[f32]>, config: &Config, level: SimdLevel) -> Whole {
     let &Config { radius_world, max_stretch, position_smoothing, floor } = config;
     let stretch = Stretch { max_stretch, floor, lone: 1.0, lone_floor: floor, lone_shares: [1.0; 2] };
-    let config = NeighborConfig { radius_world, weight_scale: 1.0, own_spacing: 1.0, stretch: Some(stretch) };
+    // So small that scales do not change the company.
+    let own_spacing = 0.1;
+    let config = NeighborConfig { radius_world, weight_scale: 1.0, own_spacing, stretch: Some(stretch) };
     let found = neighbor_shapes(particles, |_| true, scales, &config, level);
     // The means of the positions are the same if no shapes are computed.
     let means =
