@@ -360,7 +360,7 @@ pub(in crate::cli) struct VariedOption {
 }
 
 /// What `tune` varies by itself.
-const DEFAULT: [&str; 2] = ["position-smoothing=0,0.3,0.5,0.8", "radius-ratio=1.2,1.5,2,3"];
+const DEFAULT: [&str; 2] = ["position-smoothing=0,0.3,0.55,0.8", "radius-ratio=1.2,1.5,2,2.8"];
 
 impl VariedOption {
     /// The name of the option's field.

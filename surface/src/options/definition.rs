@@ -77,12 +77,12 @@ method_options! {
         Surface {
             /// Radius r_min of the sphere around each particle, positive; the surface encloses these spheres,
             /// but particles in sheets and filaments get a flattened ellipsoid instead (--anisotropy)
-            /// [default: 0.64d, but no less than √3·h]
+            /// [default: 0.68d, but no less than √3·h]
             #[value(named("LENGTH"))]
             radius_min: Length,
 
             /// Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle,
-            /// and r_max is at most 64h [default: 3]
+            /// and r_max is at most 64h [default: 2.8]
             #[value(named("RATIO"))]
             radius_ratio: f64,
 
@@ -126,19 +126,19 @@ method_options! {
             thin_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
 
             /// Radius of particles without neighbours (drops), which replaces their r_min, positive and at
-            /// most --radius-min, for --anisotropy neighbors [default: 0.62d]
+            /// most --radius-min, for --anisotropy neighbors [default: 0.63d]
             #[value(named("LENGTH"))]
             lone_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
 
             /// Search radius for neighbours, positive and at most 200h, for --anisotropy neighbors and
-            /// --position-smoothing [default: 2.6d]
+            /// --position-smoothing [default: 2.8d]
             #[value(named("LENGTH"))]
             neighbor_radius: Length
                 => [OptionName::with_value("anisotropy", "neighbors"), OptionName::new("position_smoothing")],
                 |options, _| options.uses_neighbors(),
 
             /// Move particles near the surface toward the mean of their neighbours by this fraction, 0 to 1
-            /// [default: 0.5]
+            /// [default: 0.55]
             #[value(named("L"))]
             position_smoothing: f64 in 0.0..=1.0,
 
@@ -211,7 +211,7 @@ method_options! {
             integrator: Integrator,
 
             /// Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are
-            /// recomputed instead [default: 2 (d/h)², 20 on the default grid]
+            /// recomputed instead [default: 3 (d/h)², 29 on the default grid]
             #[value(named("N"))]
             laplacian_steps: u32 in 0..=STEPS_MAX,
 

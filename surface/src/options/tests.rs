@@ -123,7 +123,7 @@ fn finer_grid_keeps_lengths_and_times() {
         assert_eq!(anisotropy(1.0, None), Anisotropy::None);
         assert!(matches!(anisotropy(1.0, Some(AnisotropyKind::Neighbors)), Anisotropy::Neighbors { .. }));
         // On coarse voxels r_min is raised, and r_init only if it must be.
-        for (voxels, min, init) in [(2.0, 0.5 * 3f64.sqrt(), 0.96), (1.0, 3f64.sqrt(), 1.1 * 3f64.sqrt())] {
+        for (voxels, min, init) in [(2.0, 0.5 * 3f64.sqrt(), 1.02), (1.0, 3f64.sqrt(), 1.1 * 3f64.sqrt())] {
             let coarse = resolved(voxels);
             assert!((coarse[0] - min).abs() < 1e-9 && (coarse[1] - init).abs() < 1e-2, "{coarse:?}");
             assert!((coarse[3] - usual[3]).abs() < 1e-9);
@@ -193,13 +193,13 @@ fn offset_out_of_range_is_rejected_with_the_range() {
 fn lengths_out_of_range_are_named_as_typed() {
     // d = 0.1 and h = 0.032.
     for (name, text, expected) in [
-        ("offset", "5h", "the offset 5h is 0.16; it must be from -r_min = -0.064 to 2 h = 0.064"),
-        ("offset", "-2d", "the offset -2d is -0.2; it must be from -r_min = -0.064 to 2 h = 0.064"),
-        ("offset", "0.2", "the offset is 0.2; it must be from -r_min = -0.064 to 2 h = 0.064"),
+        ("offset", "5h", "the offset 5h is 0.16; it must be from -r_min = -0.068 to 2 h = 0.064"),
+        ("offset", "-2d", "the offset -2d is -0.2; it must be from -r_min = -0.068 to 2 h = 0.064"),
+        ("offset", "0.2", "the offset is 0.2; it must be from -r_min = -0.068 to 2 h = 0.064"),
         ("voxel_size", "-1d", "the voxel size -1d is -0.1; it must be a positive number"),
         ("radius_min", "-1d", "the radius r_min -1d is -0.1; it must be a positive number"),
         ("radius_min", "1e-9d", "r_min 0.000000001d is 3.125e-9 voxels"),
-        ("radius_init", "9h", "r_init 9h is 0.288; it must be between r_min = 0.064 and r_max = 0.192"),
+        ("radius_init", "9h", "r_init 9h is 0.288; it must be between r_min = 0.068 and r_max = 0.1904"),
         ("thin_radius", "2d", "the smallest semi-axis of flattened particles 2d is 0.2; it must be from"),
         ("lone_radius", "2d", "the radius of particles without neighbours 2d is 0.2; it must be at most"),
         ("neighbor_radius", "90d", "the neighbour radius 90d is 281.25 h; it must be at most 200 h"),

@@ -387,10 +387,10 @@ fn stretch(settings: &Settings) -> Option<Stretch> {
             floor: in_radii(thin_radius),
             lone: in_radii(lone_radius),
             lone_floor: resolved_radius(settings),
-            lone_shares: [settings.radius_init, settings.radius_max].map(|radius| {
-                let own = settings.radius_min + LONE_FREEDOM * (radius - settings.radius_min);
-                (own / radius) as f32
-            }),
+            // The surface of spray is that of its balls: drops that come close do not merge before they touch,
+            // and smoothing does not move them.
+            lone_shares: [settings.radius_init, settings.radius_max]
+                .map(|radius| (settings.radius_min / radius) as f32),
         }),
         Anisotropy::None | Anisotropy::Velocity { .. } => None,
     }
@@ -398,11 +398,6 @@ fn stretch(settings: &Settings) -> Option<Stretch> {
 
 /// The limits of a particle's company are sums of weights within this distance, in spacings.
 const COMPANY_RADIUS: f64 = 2.6;
-
-/// The distances of r_init and r_max from r_min of particles without neighbours, relative to those of the
-/// settings. The surface of spray then stays close to its particles: drops that come close do not merge
-/// before they touch, and smoothing does not move them.
-const LONE_FREEDOM: f64 = 0.1;
 
 /// Radius of the smallest ball that the grid resolves wherever it is, √3 voxels, in units of the settings'
 /// radii. No semi-axis of a ball, or of a particle stretched by velocity, is shorter.
