@@ -121,7 +121,7 @@ def widest_gap(obstacle, particles, surface, settings, wet_margin):
     """The largest distance of the surface from a wet point of the obstacle, in voxels; and the number of wet
     points."""
     voxel_size, radius_init = settings["voxel_size"], settings["radius_init"]
-    places, _ = trimesh.sample.sample_surface(obstacle, 3000, seed=1)
+    places, _ = trimesh.sample.sample_surface(obstacle, 20000, seed=1)
     distances, _ = cKDTree(particles).query(places)
     is_wet = distances < radius_init + wet_margin * voxel_size
     is_flat = edge_distances(obstacle, places) > EDGE_WIDTH * voxel_size

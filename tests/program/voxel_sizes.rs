@@ -106,7 +106,7 @@ fn every_command_refuses_voxels_that_are_too_small() {
     ] {
         let result = meniscus(path, &[command, &["--voxel-size", "1e-9"]].concat());
         // A smaller ratio would not help.
-        let words = "the voxel size 1e-9 is too small: r_max is 192000000 voxels; it must be at most 64; \
+        let words = "the voxel size 1e-9 is too small: r_max is 190400000 voxels; it must be at most 64; \
                      use a voxel size of at least 0.003";
         assert!(
             result.status != 0 && result.err.contains(words),
