@@ -24,9 +24,9 @@ class OptionValues(TypedDict, total=False):
     voxel_size : float | str
         Voxel edge length h, positive, in world units or particle spacings [default: 0.32d]
     radius_min : float | str
-        Radius r_min of the sphere around each particle, positive; the surface encloses these spheres, but particles in sheets and filaments get a flattened ellipsoid instead (`anisotropy`) [default: 0.64d, but no less than √3·h]
+        Radius r_min of the sphere around each particle, positive; the surface encloses these spheres, but particles in sheets and filaments get a flattened ellipsoid instead (`anisotropy`) [default: 0.68d, but no less than √3·h]
     radius_ratio : float
-        Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle, and r_max is at most 64h [default: 3]
+        Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle, and r_max is at most 64h [default: 2.8]
     radius_init : float | str
         Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.5 r_min, or less if r_min is raised for coarse voxels]
     offset : float | str
@@ -44,11 +44,11 @@ class OptionValues(TypedDict, total=False):
     thin_radius : float | str
         Smallest semi-axis of flattened particles, 0.9 h to r_min, for `anisotropy` neighbors; smaller makes thinner sheets [default: 0.36d]
     lone_radius : float | str
-        Radius of particles without neighbours (drops), which replaces their r_min, positive and at most `radius_min`, for `anisotropy` neighbors [default: 0.62d]
+        Radius of particles without neighbours (drops), which replaces their r_min, positive and at most `radius_min`, for `anisotropy` neighbors [default: 0.63d]
     neighbor_radius : float | str
-        Search radius for neighbours, positive and at most 200h, for `anisotropy` neighbors and `position_smoothing` [default: 2.6d]
+        Search radius for neighbours, positive and at most 200h, for `anisotropy` neighbors and `position_smoothing` [default: 2.8d]
     position_smoothing : float
-        Move particles near the surface toward the mean of their neighbours by this fraction, 0 to 1 [default: 0.5]
+        Move particles near the surface toward the mean of their neighbours by this fraction, 0 to 1 [default: 0.55]
     velocity_gain : float
         Stretch particles along their velocity: the farther they move in this time, the more; positive, for `anisotropy` velocity [default: 0.01]
     void_threshold : float
@@ -72,7 +72,7 @@ class OptionValues(TypedDict, total=False):
     integrator : Literal["fast", "implicit", "explicit", "adaptive"]
         Time integrator of the smoothing [default: fast]
     laplacian_steps : int
-        Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are recomputed instead [default: 2 (d/h)², 20 on the default grid]
+        Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are recomputed instead [default: 3 (d/h)², 29 on the default grid]
     steps : int
         Number of biharmonic steps, 0 to 1000000 [default: 1; explicit, adaptive: a larger number of smaller steps with the same total pseudo-time]
     step_size : float
