@@ -18,6 +18,7 @@ import contextlib
 import importlib.util
 import io
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -109,7 +110,7 @@ def faults_of(obj, number, turn=TURN):
     h = voxel_size()
     is_level_set = bool(obj.modifiers)
     faults = []
-    if len(points) != len(expected):
+    if not is_count(len(points), len(expected), is_level_set):
         faults.append(f"{len(points)} vertices instead of {len(expected)}")
     else:
         # Blender's mesher puts vertices at other positions in their cells, so the bounds differ, too.
@@ -121,6 +122,12 @@ def faults_of(obj, number, turn=TURN):
         faults += vertex_faults(mesh, points, expected, number, turn)
     evaluated.to_mesh_clear()
     return faults
+
+
+def is_count(found, expected, is_level_set):
+    """Whether this number of vertices is right. Where sheets of fluid meet in a cell, Blender's mesher of level sets
+    puts other numbers of vertices into it."""
+    return abs(found - expected) <= (0.001 * expected if is_level_set else 0)
 
 
 def vertex_faults(mesh, points, expected, number, turn):
@@ -309,11 +316,12 @@ def command_line():
             "mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh(); "
             "print('seen', scene.frame_start, scene.frame_end, round(scene.render.fps / scene.render.fps_base, 6), len(mesh.vertices))"
         )
-        expected = f"seen 1 8 23.976 {frame_of(own(6, 'ply'))['vertices']}"
         said = run("-c", look)
-        seen.append(expected)
-        if expected not in said:
-            faults.append(f"{scene.name}: {said}")
+        found = re.search(r"seen 1 8 23\.976 (\d+)", said)
+        seen.append(found and found[0])
+        expected = frame_of(own(6, "ply"))["vertices"]
+        if not found or not is_count(int(found[1]), expected, is_level_set=kind == "vdb"):
+            faults.append(f"{scene.name}: {expected} vertices expected: {said}")
     # A .vdb sequence without gaps needs no script: Blender's own file sequence shows it.
     return f"{seen[0]}; the .vdb without the script", faults
 
