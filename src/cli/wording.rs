@@ -79,7 +79,7 @@ fn remedy(warning: &Warning) -> Option<String> {
             format!("choose some with --where, such as --where '{attribute} == VALUE'")
         }
         Warning::Input(InputWarning::Irregular { suitable, .. }) => {
-            format!("use --preset {suitable}, or granular for sand")
+            format!("use --preset {suitable}, or give --preset fluid if splashes matter more")
         }
         Warning::Frame(FrameWarning::NotConverged | FrameWarning::CflExceeded { .. }) => {
             "choose a smaller --step-size".to_owned()

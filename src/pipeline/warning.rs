@@ -287,8 +287,9 @@ impl fmt::Display for InputWarning {
             }
             InputWarning::Irregular { irregularity, suitable } => write!(
                 f,
-                "the particles are spaced irregularly (irregularity {} %): the preset {suitable} suits them better than {}",
+                "the particles are spaced irregularly (irregularity {} %): the preset {} makes calmer pools and waves of them, though thicker splashes, than {}",
                 (100.0 * irregularity).round(),
+                suitable,
                 Preset::default()
             ),
             InputWarning::PresetNotMeasured { used } => write!(

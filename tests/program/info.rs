@@ -54,7 +54,7 @@ fn suitable_preset_is_named() {
     assert_eq!(wild["suggested_voxel_size"].as_f64(), voxel_size);
     assert_eq!((&few["irregularity"], &few["suggested_preset"]), (&Value::Null, &Value::Null));
     let out = meniscus(folder.path(), &["info", "wild.ply", "few.ply"]).out;
-    assert_eq!(out.matches("irregularly spaced, preset noisy suits (sand: granular)\n").count(), 1, "{out}");
+    assert_eq!(out.matches("irregularly spaced, preset noisy suits (splashes: fluid)\n").count(), 1, "{out}");
     assert_eq!(out.matches("irregularity").count(), 1, "{out}");
 }
 

@@ -849,6 +849,7 @@ What is scored:
   particles around them, which are followed by their ids if all frames have them, else by their velocities.
   A point's flicker is the second difference of its signed distances to the three surfaces, in particle
   spacings. The score is the root of its mean square: 0 for a surface that moves as its particles do.
+  The first difference is that of the distance to the next surface alone, and lag 2 that to the one after it.
 
   A distance of more than 2 spacings counts as 2. Points with no particle within 3 spacings are
   counted and left out. A frame is scored if the frames before and after it have a mesh and particles.

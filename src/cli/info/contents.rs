@@ -204,11 +204,11 @@ impl fmt::Display for ParticlesInfo {
                 row(f, "spacing", format_args!("{}, confidence {percent} %", significant(spacing)))?;
                 if let (Some(irregularity), Some(preset)) = (self.irregularity, self.suggested_preset) {
                     let percent = (100.0 * irregularity).round();
-                    let [spaced, or] = match preset {
-                        Preset::Noisy => ["irregularly", " (sand: granular)"],
+                    let [spaced, but] = match preset {
+                        Preset::Noisy => ["irregularly", " (splashes: fluid)"],
                         _ => ["evenly", ""],
                     };
-                    let suits = format_args!("{percent} %: {spaced} spaced, preset {preset} suits{or}");
+                    let suits = format_args!("{percent} %: {spaced} spaced, preset {preset} suits{but}");
                     row(f, "irregularity", suits)?;
                 }
                 row(f, "suggested voxel size", shortest(voxel_size))
