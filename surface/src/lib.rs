@@ -113,6 +113,7 @@ pub mod level_set;
 
 #[doc(hidden)]
 pub mod grid;
+mod motion;
 #[doc(hidden)]
 pub mod neighbors;
 

@@ -16,57 +16,20 @@
 //! Invariants: the same frames give the same bits on any number of threads; scaling positions and spacing by
 //! a power of two changes no value.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use rayon::prelude::*;
-use rustc_hash::FxHashMap;
 
-use crate::neighbors::Neighbors;
+use crate::motion::{BEYOND_NEAREST, Mean, TrackedParticles};
+pub use crate::motion::{Carrier, MovingParticles};
 use crate::obstacle::MeshDistance;
 use crate::parallel::Loops as _;
-use crate::particles::OwnedPositions;
 
 /// Upper limit of the distances from a surface, in spacings; larger ones are clamped.
 pub const REACH: f64 = 2.0;
 
-/// How points are carried to the frame before and the frame after.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Carrier {
-    /// By the positions of particles with the same id.
-    Ids,
-    /// By the velocities of particles.
-    Velocities {
-        /// The time between the frames, in the time unit of the velocities.
-        seconds: f64,
-    },
-}
-
-impl Carrier {
-    /// The carrier between frames that are `lag` times as far apart.
-    pub fn over(self, lag: u32) -> Carrier {
-        match self {
-            Carrier::Ids => Carrier::Ids,
-            Carrier::Velocities { seconds } => Carrier::Velocities { seconds: f64::from(lag) * seconds },
-        }
-    }
-}
-
-/// The particles of a frame, and their motion.
-#[derive(Clone, Debug)]
-pub struct MovingParticles {
-    /// Positions, world units.
-    pub positions: OwnedPositions,
-    /// The id of each particle, constant over time. Ids that several particles share are not used.
-    pub ids: Option<Vec<i64>>,
-    /// Velocities, world units per second.
-    pub velocities: Option<Vec<[f32; 3]>>,
-}
-
 /// A frame: its particles and its surface.
 pub struct FlickerFrame {
-    particles: MovingParticles,
-    neighbors: Neighbors,
-    /// The particle of each id that only one particle has.
-    index_of_id: FxHashMap<i64, u32>,
+    particles: TrackedParticles,
     surface: MeshDistance,
 }
 
@@ -96,13 +59,8 @@ impl FlickerFrame {
     /// Prepares a frame whose particles are `spacing` apart, world units: positive and finite.
     ///
     /// Ids and velocities are ignored unless there are as many as positions.
-    pub fn new(mut particles: MovingParticles, surface: MeshDistance, spacing: f64) -> FlickerFrame {
-        let count = particles.positions.len();
-        particles.ids = particles.ids.filter(|ids| ids.len() == count);
-        particles.velocities = particles.velocities.filter(|velocities| velocities.len() == count);
-        let neighbors = Neighbors::new(&particles.positions, SEARCH_RADIUS * spacing);
-        let index_of_id = unique_ids(particles.ids.as_deref().unwrap_or_default());
-        FlickerFrame { particles, neighbors, index_of_id, surface }
+    pub fn new(particles: MovingParticles, surface: MeshDistance, spacing: f64) -> FlickerFrame {
+        FlickerFrame { particles: TrackedParticles::new(particles, SEARCH_RADIUS * spacing), surface }
     }
 
     /// Its surface.
@@ -112,33 +70,14 @@ impl FlickerFrame {
 
     /// Whether it has particles.
     pub fn has_particles(&self) -> bool {
-        !self.particles.positions.is_empty()
+        !self.particles.positions().is_empty()
     }
 
     /// Whether its particles can carry points this way: by ids, if at least half of them have an id that no
     /// other has; by velocities, if they have velocities. True without particles.
     pub fn has(&self, carrier: Carrier) -> bool {
-        match carrier {
-            Carrier::Ids => 2 * self.index_of_id.len() >= self.particles.positions.len(),
-            Carrier::Velocities { .. } => !self.has_particles() || self.particles.velocities.is_some(),
-        }
+        self.particles.has(carrier)
     }
-
-    /// The position of the particle with this id; `None` if no particle has it, or several have.
-    fn position_of_id(&self, id: i64) -> Option<DVec3> {
-        self.index_of_id.get(&id).map(|&index| self.particles.positions.position(index as usize))
-    }
-}
-
-/// See [`FlickerFrame::index_of_id`].
-fn unique_ids(ids: &[i64]) -> FxHashMap<i64, u32> {
-    const SHARED: u32 = u32::MAX;
-    let mut index_of_id = FxHashMap::default();
-    for (&id, index) in ids.iter().zip(0u32..SHARED) {
-        index_of_id.entry(id).and_modify(|known| *known = SHARED).or_insert(index);
-    }
-    index_of_id.retain(|_, index| *index != SHARED);
-    index_of_id
 }
 
 /// The flicker of the middle frame at `sample_count` points, which are distributed evenly by area. `spacing`
@@ -200,7 +139,7 @@ fn carried_distance(
     point: DVec3,
     spacing: f64,
 ) -> Option<f64> {
-    let carried = carry(from, to, carrier, direction, point, spacing)?;
+    let carried = carry(&from.particles, &to.particles, carrier, direction, point, spacing)?;
     // Without a surface, every point is outside.
     let distance = to.surface.distance(carried).unwrap_or(f64::INFINITY);
     Some((distance / spacing).clamp(-REACH, REACH))
@@ -211,18 +150,10 @@ fn carried_distance(
 //     ∙   ∙   ∙
 //      ∙  ●──────▶ ○      the mean displacement of the particles around the point, weighted by (1 − r²/R²)³:
 //     ∙   ∙   ∙           r is a particle's distance, R the distance of the nearest one plus one spacing
-//
-// With ids, the displacement of a particle is known. With velocities, it is the time step times the mean of
-// the velocities at both ends (the trapezoidal rule), which is exact for a constant acceleration. The
-// velocity at the far end is evaluated twice: at a predicted position and at the corrected one. With the
-// velocity at the start only, a drop in free fall would flicker by g dt².
 
 /// A point is carried if a particle is closer than this, in spacings. With strong smoothing, surfaces are
 /// this far from their particles.
 pub const CARRY_REACH: f64 = 3.0;
-
-/// Particles are weighted up to this distance beyond the nearest one, in spacings.
-const BEYOND_NEAREST: f64 = 1.0;
 
 /// Search radius for the weighted particles, in spacings. It is also the limit for the distance of the
 /// nearest particle from a predicted position, because the prediction may be off by this much.
@@ -231,8 +162,8 @@ const SEARCH_RADIUS: f64 = CARRY_REACH + BEYOND_NEAREST;
 /// The position of a point of `from` in the frame `to`, the next one (`direction` 1) or the previous one
 /// (−1). `None` if no particle within reach carries it.
 fn carry(
-    from: &FlickerFrame,
-    to: &FlickerFrame,
+    from: &TrackedParticles,
+    to: &TrackedParticles,
     carrier: Carrier,
     direction: f64,
     point: DVec3,
@@ -241,82 +172,21 @@ fn carry(
     let limit = CARRY_REACH * spacing;
     let displacement = match carrier {
         Carrier::Ids => {
-            let ids = from.particles.ids.as_deref()?;
-            let displacement = |index: usize| {
-                let id = *ids.get(index)?;
-                Some(to.position_of_id(id)? - from.position_of_id(id)?)
-            };
-            mean(from, point, limit, spacing, displacement)?.vector
+            let displacement = |index: usize| from.displacement_by_id(index, to);
+            from.mean(point, limit, spacing, displacement)?.vector
         }
         Carrier::Velocities { seconds } => {
-            let step = direction * seconds;
             // Evaluated at the particles' mean position instead of on the surface, because more particles
             // surround the mean position.
-            let Mean { vector: here, position } = mean(from, point, limit, spacing, velocity_in(from))?;
-            let velocity_at = |position: DVec3| {
-                Some(mean(to, position, SEARCH_RADIUS * spacing, spacing, velocity_in(to))?.vector)
-            };
-            let first = velocity_at(position + step * here)?;
-            let second = velocity_at(position + step * 0.5 * (here + first))?;
-            step * 0.5 * (here + second)
+            let Mean { vector: here, position } =
+                from.mean(point, limit, spacing, |index| from.velocity(index))?;
+            let step = direction * seconds;
+            let [displacement, _] =
+                TrackedParticles::displacement_by_velocity(to, position, here, step, spacing)?;
+            displacement
         }
     };
     Some(point + displacement).filter(|position| position.is_finite())
-}
-
-fn velocity_in(frame: &FlickerFrame) -> impl Fn(usize) -> Option<DVec3> {
-    let velocities = frame.particles.velocities.as_deref().unwrap_or_default();
-    |index| velocities.get(index).map(|&velocity| Vec3::from(velocity).as_dvec3())
-}
-
-/// Weighted means over particles.
-struct Mean {
-    /// The mean of a vector of the particles.
-    vector: DVec3,
-    /// Their mean position, world units.
-    position: DVec3,
-}
-
-/// The means over the particles around a point for which `vector_of` returns a value. `None` if the nearest
-/// of these particles is farther than `limit`, in world units.
-fn mean(
-    frame: &FlickerFrame,
-    point: DVec3,
-    limit: f64,
-    spacing: f64,
-    vector_of: impl Fn(usize) -> Option<DVec3>,
-) -> Option<Mean> {
-    // The unit of the grid's coordinates is the cell edge, which is the search radius.
-    let grid = &frame.neighbors;
-    let (cell, point_in_cell) = grid.locate(point)?;
-    let [x, y, z] = grid.locals();
-    let edge = grid.edge_world();
-    let mut found: Vec<(f64, DVec3, DVec3)> = Vec::new();
-    for run in grid.runs(cell) {
-        let to_corner = run.step.as_vec3() - point_in_cell;
-        for slot in run.slots {
-            let offset = (to_corner + Vec3::new(x[slot], y[slot], z[slot])).as_dvec3();
-            if offset.length_squared() <= 1.0
-                && let Some(vector) = vector_of(grid.indices()[slot] as usize).filter(|v| v.is_finite())
-            {
-                found.push((offset.length() * edge, offset * edge, vector));
-            }
-        }
-    }
-    let nearest = found.iter().map(|&(distance, ..)| distance).fold(f64::INFINITY, f64::min);
-    if nearest > limit {
-        return None;
-    }
-    let radius = nearest + BEYOND_NEAREST * spacing;
-    let (mut vectors, mut offsets, mut weights) = (DVec3::ZERO, DVec3::ZERO, 0.0);
-    for (distance, offset, vector) in found {
-        let part = (1.0 - (distance / radius).powi(2)).max(0.0);
-        let weight = part * part * part;
-        vectors += weight * vector;
-        offsets += weight * offset;
-        weights += weight;
-    }
-    Some(Mean { vector: vectors / weights, position: point + offsets / weights })
 }
 
 // Samples points on a surface, evenly by area. The same triangles give the same points.

@@ -1,6 +1,7 @@
 //! Tests with surfaces whose flicker is known.
 
 use super::*;
+use crate::particles::OwnedPositions;
 
 /// The particle spacing of all tests.
 const SPACING: f64 = 0.1;
