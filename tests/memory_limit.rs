@@ -117,6 +117,7 @@ fn memory_of_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) -
             outputs: outputs.clone(),
             number: Some(number as i64),
             obstacles: obstacles[number / 4 % 2].clone(),
+            around: Arc::default(),
             framing: None,
             obstacle_stamp: None,
             records: None,

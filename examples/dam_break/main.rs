@@ -89,6 +89,7 @@ fn config(cache: &Path, surfaces: &Path) -> WatchConfig {
         memory_bytes: default_memory_bytes(),
         disk_floor_bytes: 1 << 30,
         settle: Duration::from_millis(500),
+        temporal_wait: Duration::from_secs(30),
         poll: Poll::Auto,
     }
 }

@@ -55,6 +55,10 @@ class OptionValues(TypedDict, total=False):
         Fill gaps narrower than this between the surface and obstacles, in voxels, 0 to 4 [default: 1]
     velocity_scale : float
         Multiply velocities by this factor, and accelerations by its square, 1e-9 to 1e9; for velocities per frame it is the frame rate, so that they are per second [default: 1]
+    temporal : int
+        Average each surface with those of this many frames before and after it, along the motion of the particles, 0 to 3; particles are followed by ids, or by velocities with `time_step` [default: 0]
+    time_step : float
+        Seconds between two frames, 1e-9 to 1e9, for `temporal` with particles that have velocities and no ids
     drop_islands : int
         Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]
     fill_cavities : float
@@ -100,6 +104,8 @@ class OptionValues(TypedDict, total=False):
     velocity_gain: float | None
     void_threshold: float | None
     velocity_scale: float | None
+    temporal: int | None
+    time_step: float | None
     drop_islands: int | None
     fill_cavities: float | None
     clip: str | Sequence[float] | None

@@ -14,8 +14,8 @@ use anyhow::{Context, Result, bail};
 use meniscus_formats::listed;
 
 use crate::pipeline::{
-    Frame, FrameFile, FrameRecords, Job, ObstacleFiles, OnError, OutputFormat, OutputOptions, STATE_FOLDER,
-    Sequence, SequenceRecord, UsdStageFrame, UsdStageSequence, check_existing, check_outputs,
+    Frame, FrameFile, FrameRecords, Job, NumberedFrames, ObstacleFiles, OnError, OutputFormat, OutputOptions,
+    STATE_FOLDER, Sequence, SequenceRecord, UsdStageFrame, UsdStageSequence, check_existing, check_outputs,
     output_sequence,
 };
 use crate::surface::options::{MethodOptions, Settings};
@@ -270,8 +270,10 @@ impl ConvertPlan {
         let of = (&self.options, measured.as_ref());
         let record = SequenceRecord::new(&sequence.name, &self.job, &settings, of, files);
         let settings = Arc::new(settings);
+        let numbered = NumberedFrames::of_files(&sequence.frames);
         let frames = selected.iter().map(|file| Frame {
             job: self.job,
+            around: numbered.frames_around(file.number(), settings.temporal),
             obstacles: Arc::clone(&self.obstacles),
             records: self.records.clone(),
             ..Frame::new(file, &settings, &outputs)

@@ -12,8 +12,8 @@ use serde::Serialize;
 
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::{
-    DoneRecord, FrameFile, FrameRecords, OutputComparison, ResultState, STATE_FOLDER, Wanted, canonical_path,
-    file_of, hash_of_input, sequences,
+    AroundFrame, DoneRecord, FrameFile, FrameRecords, NumberedFrames, OutputComparison, RecordedAround,
+    ResultState, STATE_FOLDER, Wanted, canonical_path, file_of, hash_of_input, sequences,
 };
 
 use super::CommandOutcome;
@@ -84,10 +84,15 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
         );
     }
     refuse_to_replace(args.report.as_deref(), folder, &frames)?;
-    let wanted = current_settings(&frames);
+    let wanted = current_settings(&frames, &records);
     let frames: Vec<(PathBuf, KnownFrame)> = frames.into_iter().collect();
     let verified: Vec<VerifiedFrame> = thread_pool(args.threads)?.install(|| {
-        frames.into_par_iter().map(|(name, frame)| verify_frame(&records, name, frame, &wanted)).collect()
+        let hash = |frame: &(PathBuf, KnownFrame)| (frame.1.input.clone(), hash_of_input(&frame.1.input));
+        let hashes: HashMap<_, _> = frames.par_iter().map(hash).collect();
+        // Without the inputs, frames around may exist that were never converted.
+        let known = KnownInputs { hashes: &hashes, are_all: !args.input.is_empty() };
+        let verify = |(name, frame)| verify_frame(&records, name, frame, (&wanted, known));
+        frames.into_par_iter().map(verify).collect()
     });
     for frame in verified.iter().filter(|frame| frame.state != ResultState::Done) {
         let (name, state) = (frame.name.display(), frame.state.word());
@@ -139,9 +144,21 @@ fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: Vec<FrameFile>)
     }
 }
 
-/// The id of the settings that each frame should have: those with which most frames of its sequence were
+/// What the frame of an input should be made with.
+#[derive(Default)]
+struct WantedSettings {
+    /// The id of its settings.
+    id: String,
+    /// The frames with which it is averaged.
+    around: Arc<[AroundFrame]>,
+}
+
+/// The settings that each frame should have, by input: those with which most frames of its sequence were
 /// converted, and of several such settings the latest ones.
-fn current_settings(frames: &BTreeMap<PathBuf, KnownFrame>) -> HashMap<PathBuf, String> {
+fn current_settings(
+    frames: &BTreeMap<PathBuf, KnownFrame>,
+    records: &FrameRecords,
+) -> HashMap<PathBuf, WantedSettings> {
     let recorded: HashMap<&Path, &[Arc<DoneRecord>]> =
         frames.values().map(|frame| (&*frame.input, &*frame.records)).collect();
     let inputs = frames.values().map(|frame| FrameFile::new(frame.input.clone())).collect();
@@ -161,31 +178,52 @@ fn current_settings(frames: &BTreeMap<PathBuf, KnownFrame>) -> HashMap<PathBuf, 
             }
         }
         let Some((current, _)) = uses.into_iter().max_by_key(|(_, uses)| *uses) else { continue };
-        settings.extend(sequence.frames.iter().map(|file| (file.path.clone(), current.to_owned())));
+        let values = records.settings(current);
+        let reach = values.and_then(|values| values.get("temporal")?.parse().ok()).unwrap_or(0);
+        let numbered = NumberedFrames::of_files(&sequence.frames);
+        settings.extend(sequence.frames.iter().map(|file| {
+            let around = numbered.frames_around(file.number(), reach);
+            (file.path.clone(), WantedSettings { id: current.to_owned(), around })
+        }));
     }
     settings
+}
+
+/// The inputs that are known.
+#[derive(Clone, Copy)]
+struct KnownInputs<'a> {
+    /// Their hashes, by path.
+    hashes: &'a HashMap<PathBuf, meniscus_formats::Result<u128>>,
+    /// Whether these are all frames of their sequences.
+    are_all: bool,
 }
 
 fn verify_frame(
     records: &FrameRecords,
     name: PathBuf,
     KnownFrame { input, .. }: KnownFrame,
-    settings: &HashMap<PathBuf, String>,
+    (settings, KnownInputs { hashes, are_all }): (&HashMap<PathBuf, WantedSettings>, KnownInputs<'_>),
 ) -> VerifiedFrame {
-    let input_hash = match hash_of_input(&input) {
-        Ok(hash) => Ok(Some(hash)),
-        Err(meniscus_formats::Error::Io(error)) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => {
+    let input_hash = match hashes.get(&input) {
+        Some(Ok(hash)) => Ok(Some(*hash)),
+        None => Ok(None),
+        Some(Err(meniscus_formats::Error::Io(error))) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Some(Err(error)) => {
             Err(format!("{}: {error}; the results cannot be compared with their input", input.display()))
         }
     };
-    let settings_id = settings.get(&input).map_or("", String::as_str);
+    let none = WantedSettings::default();
+    let WantedSettings { id: settings_id, around } = settings.get(&input).unwrap_or(&none);
+    let hash_of = |frame: &AroundFrame| hashes.get(&frame.path)?.as_ref().ok().copied();
+    // Obstacles are not read here.
+    let around: Vec<RecordedAround> = around.iter().map(|frame| frame.recorded(hash_of(frame), "")).collect();
     let settings = records.settings(settings_id);
     let wanted = Wanted {
         name: &name,
         outputs: None,
         input_hash: input_hash.clone().ok().flatten(),
         obstacles: None,
+        around: (are_all && matches!(input_hash, Ok(Some(_)))).then_some(&*around),
         settings_id,
         settings: settings.as_ref(),
         cameras: Vec::new(),

@@ -78,6 +78,9 @@ fn remedy(warning: &Warning) -> Option<String> {
         Warning::Input(InputWarning::SeveralKinds { attribute, .. }) => {
             format!("choose some with --where, such as --where '{attribute} == VALUE'")
         }
+        Warning::Input(InputWarning::NotFollowed) => {
+            "write `id` with the particles, or `velocity`, and give --time-step".to_owned()
+        }
         Warning::Input(InputWarning::Irregular { suitable, .. }) => {
             format!("use --preset {suitable}, or give --preset fluid if splashes matter more")
         }

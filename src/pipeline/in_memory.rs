@@ -31,7 +31,7 @@ use super::output::writing::{
     surface_warnings, vertex_attributes,
 };
 use super::records::frame_warnings::{coarse_positions, left_out};
-use super::records::provenance::provenance;
+use super::records::provenance::{MadeFrom, provenance};
 use super::records::record::measured_json;
 use super::target::outputs::OutputOptions;
 use super::target::picture::PictureScene;
@@ -65,7 +65,8 @@ impl EmbeddedSurface<'_> {
         let is_known = source.is_some();
         let (input, hash) = source.unwrap_or_default();
         let frame = Frame { job: Job::Surface, ..Frame::new(&FrameFile::new(input), settings, outputs) };
-        let mut provenance = provenance(&frame, (hash, self.obstacles), format);
+        let made_from = MadeFrom { input_hash: hash, obstacles: self.obstacles, around: &[] };
+        let mut provenance = provenance(&frame, made_from, format);
         provenance.retain(|(name, _)| is_known || !["input", "input_hash"].contains(&&**name));
         write_atomically(path, |out| {
             let out = &mut Interruptible(out);

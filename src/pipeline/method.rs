@@ -4,8 +4,9 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
+use crate::surface::flicker::MovingParticles;
 use crate::surface::options::Settings;
-use crate::surface::particles::ParticleCloud;
+use crate::surface::particles::{AttributeValues, ParticleCloud, Role, find_attribute};
 use crate::surface::reconstruction::{
     self, FrameSurface, MemoryPlan, MemoryPlanError, PlanInputs, ShapedSource, StageError, StagedFrame,
     Storage, Targets, TileStorage, TooLarge,
@@ -18,6 +19,22 @@ use crate::pipeline::input::level_set_file::level_set_limits;
 use crate::pipeline::input::obstacles::FrameObstacles;
 use crate::pipeline::output::writing::attribute_half_width_voxels;
 use crate::pipeline::target::outputs::OutputOptions;
+
+/// The particles of a frame as others of its sequence follow them.
+pub(crate) fn moving_particles(input: &FrameInput) -> Option<MovingParticles> {
+    let FrameInput::InMemory(cloud) = input else { return None };
+    let attributes = &cloud.attributes;
+    let ids = attributes.iter().find_map(|attribute| match &attribute.values {
+        AttributeValues::Integers(ids) if attribute.role == Role::Id && attribute.arity == 1 => {
+            Some(ids.clone())
+        }
+        _ => None,
+    });
+    let velocities =
+        find_attribute(attributes, "velocity", 3).and_then(|attribute| attribute.values.numbers());
+    let velocities = velocities.map(|numbers| numbers.as_chunks::<3>().0.to_vec());
+    Some(MovingParticles { positions: cloud.positions.clone(), ids, velocities })
+}
 
 /// A frame between two stages.
 pub(crate) type StagedInput = StagedFrame<ShapedSource<FrameInput>>;
@@ -54,7 +71,8 @@ pub(crate) fn plan(
         PlanInputs {
             obstacles: &obstacles.obstacles,
             attribute_bytes: particles.attribute_bytes(settings),
-            allows_tiles: true,
+            // A frame in tiles cannot be averaged with others.
+            allows_tiles: settings.temporal == 0,
         },
         allowed_bytes.saturating_sub(aside_bytes),
     )?;

@@ -51,6 +51,7 @@ impl LoadedFrame {
     /// When the system reports an error, or the file has no readable particles.
     pub fn read(path: &Path, number: Option<i64>, settings: &Settings) -> Result<LoadedFrame, FrameError> {
         stage(path, Stage::Read, || {
+            settings.require_single_frame().map_err(Cause::Settings)?;
             let bytes = read_file(path).map_err(|error| error.cause)?;
             let hash = XxHash3_128::oneshot(&bytes);
             let read = parse_particles(path, &bytes, &AttributeRequest::for_settings(settings))

@@ -59,6 +59,8 @@ pub enum InputWarning {
     RoundedParticles { step: f64, spacing: f64 },
     /// The particles are spaced so irregularly that another preset than the default suits them.
     Irregular { irregularity: f64, suitable: Preset },
+    /// The particles cannot be followed to the frames around: they have no ids, and no velocities with a time step.
+    NotFollowed,
     /// The particles are too few to choose a preset by them.
     PresetNotMeasured { used: Preset },
     /// All particles have the same coordinate along this axis.
@@ -116,6 +118,8 @@ pub enum FrameWarning {
     /// The 32-bit positions of the mesh are coarse: the frame is wide, or far from the origin, and all its
     /// files have the world positions that `format` stores.
     CoarsePositions { voxels: f64, format: Option<OutputFormat> },
+    /// The surface is not averaged with one of the frames around it.
+    NotAveraged { why: String },
     /// Particles outside the surface, which an offset or smoothed positions allow.
     ParticlesOutside { count: usize, particle_count: usize, is_offset: bool, is_smoothed: bool },
 }
@@ -292,6 +296,10 @@ impl fmt::Display for InputWarning {
                 suitable,
                 Preset::default()
             ),
+            InputWarning::NotFollowed => f.write_str(
+                "the surface is not averaged with the frames around it: the particles have no ids of their own, \
+                 and no velocities with a time step, by which they could be followed",
+            ),
             InputWarning::PresetNotMeasured { used } => write!(
                 f,
                 "too few particles are surrounded by others to measure how evenly they are spaced: the preset is {used}"
@@ -405,6 +413,9 @@ impl fmt::Display for FrameWarning {
                     ""
                 };
                 write!(f, "{particles} inside obstacles: the surface does not follow them there{hint}")
+            }
+            FrameWarning::NotAveraged { why } => {
+                write!(f, "the surface is not averaged with one of the frames around it: {why}")
             }
             FrameWarning::NotConverged => {
                 f.write_str("the implicit solver did not converge to its tolerance")

@@ -25,6 +25,8 @@ pub struct WatchConfig {
     pub disk_floor_bytes: u64,
     /// How long a file must be unchanged before it is read.
     pub settle: Duration,
+    /// How long a frame waits for those around it with which it is averaged.
+    pub temporal_wait: Duration,
     /// When to poll instead of waiting for file-system events.
     pub poll: Poll,
 }

@@ -340,6 +340,7 @@ mod tests {
             memory_bytes: 1 << 30,
             disk_floor_bytes: 0,
             settle: Duration::ZERO,
+            temporal_wait: Duration::ZERO,
             poll: Poll::Every(Duration::from_millis(50)),
         }
     }

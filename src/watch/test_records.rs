@@ -20,6 +20,7 @@ pub(crate) fn done_record(input: &Path, stamp: FileStamp) -> Arc<DoneRecord> {
         stamp,
         input_hash: 7,
         obstacles: String::new(),
+        around: Vec::new(),
         obstacle_stamp: None,
         settings: settings_id(&no_settings),
         camera: None,

@@ -104,6 +104,8 @@ pub mod rasterize;
 pub mod smooth;
 #[doc(hidden)]
 pub mod spacing;
+#[doc(hidden)]
+pub mod temporal;
 
 #[doc(hidden)]
 pub mod obstacle;

@@ -280,6 +280,7 @@ impl<'a> Reconstructor<'a> {
         }
         check_lengths(&positions, attributes)?;
         let settings = &self.settings_on(&positions, attributes)?.clone();
+        settings.require_single_frame()?;
         check_required_attributes(settings, attributes)?;
         let input_count = positions.len();
         let plan = self.plan(&positions, attributes, settings)?;

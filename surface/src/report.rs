@@ -6,6 +6,7 @@ pub use crate::attributes::TransferCounts;
 use crate::mesh::MeshMeasures;
 pub use crate::obstacle::{ContactStats, DepthStats};
 pub use crate::smooth::{Convergence, SmoothReport};
+pub use crate::temporal::TemporalReport;
 pub use crate::validation::{Certificate, ParticlesOutside};
 
 /// Everything that was measured and checked while a frame was reconstructed. Check `certificate.holds()`
@@ -32,6 +33,8 @@ pub struct ReconstructionReport {
     pub leaf_count: usize,
     /// What smoothing did.
     pub smoothing: SmoothReport,
+    /// What averaging over time did.
+    pub temporal: TemporalReport,
     /// The checks of the result.
     pub certificate: Certificate,
     /// Number of vertices that were more than half a voxel outside their bounds and were moved back.

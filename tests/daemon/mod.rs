@@ -20,4 +20,5 @@ mod sequences; // one voxel size for a sequence, in any order
 mod signals; // signals: end, end at once
 mod stages; // stages that grow with the frames, and survive restarts
 mod steps; // dumps to which a simulation appends steps
+mod temporal; // frames that are averaged with those around them
 mod writers; // the ways in which programs write frames

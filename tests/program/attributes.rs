@@ -367,7 +367,8 @@ fn velocity_scale_applies_to_velocities_and_accelerations_in_all_outputs() {
     let other = [&selected[..], &["--velocity-scale", "25", "--skip-done"]].concat();
     assert!(!convert("scaled", &other).contains("done already"));
     // Without velocities the option has no effect.
-    let note = "--velocity-scale is ignored: it is for --attributes and --anisotropy velocity only";
+    let note =
+        "--velocity-scale is ignored: it is for --attributes, --anisotropy velocity and --time-step only";
     assert!(convert("none", &["--velocity-scale", "24"]).contains(note));
 }
 

@@ -31,6 +31,7 @@ mod spacings; // the measured spacing of particles, against known values
 mod stages; // stages that play the files of the frames
 mod steps; // files with several frames: LAMMPS dumps and atoms
 mod stream; // frames that arrive over time: order, limits, failures
+mod temporal; // surfaces that are averaged over time
 #[cfg(target_os = "linux")]
 mod unreadable; // frames with unreadable metadata fail, instead of being ignored
 pub(crate) mod vdb_file; // common parts of small .vdb files

@@ -86,6 +86,7 @@ impl Bench {
                 outputs: outputs.clone(),
                 number: None,
                 obstacles: Arc::default(),
+                around: Arc::default(),
                 framing: None,
                 obstacle_stamp: None,
                 records: Some(Arc::clone(&records)),

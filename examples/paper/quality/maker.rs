@@ -2,13 +2,17 @@
 
 use std::fs;
 use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
-use glam::DVec3;
+use meniscus::surface::mesh::PositionRounding;
 use meniscus::surface::obstacle::{MeshSdf, Obstacles};
 use meniscus::surface::options::{MethodOptions, SequenceSpacing, Settings};
-use meniscus::surface::particles::{OwnedPositions, ParticleCloud};
-use meniscus::surface::reconstruction::reconstruct_cloud;
+use meniscus::surface::particles::ParticleCloud;
+use meniscus::surface::reconstruction::{
+    FrameSurface, ShapedSource, StagedFrame, reconstruct_cloud, shape_particles,
+};
+use meniscus::surface::temporal::{OtherFrame, TimedFrame};
 use meniscus_formats::{Limits, MeshData, ply};
 
 use super::estimate_of;
@@ -18,12 +22,21 @@ use crate::splashsurf::{Post, Splashsurf};
 use crate::surfaces::data;
 
 pub(super) enum Maker {
-    /// meniscus, with these settings.
-    Ours(Vec<(String, String)>),
+    /// meniscus, with these settings. Smoothed frames are kept for the frames around them.
+    Ours { settings: Vec<(String, String)>, smoothed: Mutex<Vec<Smoothed>> },
     /// splashsurf, with this cell size in spacings.
     Splashsurf { peer: Box<Splashsurf>, post: Post, cell: f64 },
     /// Another program that left a mesh for each frame in a folder.
     Meshes(PathBuf),
+}
+
+/// A smoothed frame of a set.
+pub(super) struct Smoothed {
+    set: String,
+    number: usize,
+    timed: Arc<TimedFrame>,
+    /// The frame itself, until its surface is made.
+    staged: Option<StagedFrame<ShapedSource<ParticleCloud>>>,
 }
 
 /// A surface and its cost.
@@ -43,11 +56,13 @@ impl Maker {
         let start = Instant::now();
         let (mut voxel_passes, mut is_certified) = (None, None);
         let (mesh, seconds) = match self {
-            Maker::Ours(pairs) => {
-                let settings = settings_of(pairs, set)?;
-                let positions = OwnedPositions::F64(frame.points.iter().map(DVec3::to_array).collect());
-                let surface =
-                    reconstruct_cloud(ParticleCloud::from(positions), &settings, &Obstacles::default());
+            Maker::Ours { settings, smoothed } => {
+                let settings = settings_of(settings, set)?;
+                let surface = if settings.temporal > 0 {
+                    averaged(set, frame, &settings, &mut smoothed.lock().expect("one thread"))?
+                } else {
+                    reconstruct_cloud(cloud(frame), &settings, &Obstacles::default())
+                };
                 voxel_passes = Some(surface.report.smoothing.voxel_update_count);
                 is_certified = Some(surface.report.certificate.holds());
                 (data(&surface), start.elapsed().as_secs_f64())
@@ -65,6 +80,49 @@ impl Maker {
         let solid = MeshSdf::new(&mesh.positions, &mesh.triangles);
         Ok(MadeSurface { mesh, solid, voxel_passes, is_certified, seconds })
     }
+}
+
+fn cloud(frame: &Frame) -> ParticleCloud {
+    ParticleCloud::from(frame.moving_particles().positions)
+}
+
+/// The surface of a frame, averaged with the frames of the set around it.
+fn averaged(
+    set: &Set,
+    frame: &Frame,
+    settings: &Settings,
+    smoothed: &mut Vec<Smoothed>,
+) -> Outcome<FrameSurface> {
+    let reach = settings.temporal as usize;
+    smoothed.retain(|kept| kept.set == set.name && kept.number + reach >= frame.number);
+    let mut others = Vec::new();
+    let mut own = None;
+    for number in frame.number.saturating_sub(reach)..=frame.number + reach {
+        let Some(other) = set.frame(number) else { continue };
+        let is_known = smoothed
+            .iter()
+            .any(|kept| kept.number == number && (number != frame.number || kept.staged.is_some()));
+        if !is_known {
+            smoothed.retain(|kept| kept.number != number);
+            let (shaped, stats) = shape_particles(cloud(other), settings);
+            let staged = StagedFrame::rasterize(shaped, stats, Obstacles::default(), settings, None);
+            let staged = staged.map_err(|_| "not in memory")?.smooth(settings, &mut |_| {})?;
+            let band = Arc::new(staged.band().ok_or("not in memory")?.clone());
+            let timed = Arc::new(TimedFrame::new(band, other.moving_particles(), settings.spacing));
+            smoothed.push(Smoothed { set: set.name.clone(), number, timed, staged: Some(staged) });
+        }
+        let kept = smoothed.iter_mut().find(|kept| kept.number == number).ok_or("just made")?;
+        if number == frame.number {
+            own = kept.staged.take().map(|staged| (staged, Arc::clone(&kept.timed)));
+        } else {
+            let steps = i32::try_from(number)? - i32::try_from(frame.number)?;
+            others.push(OtherFrame { frame: Arc::clone(&kept.timed), steps });
+        }
+    }
+    let (mut staged, timed) = own.ok_or("just made")?;
+    staged.average(&timed, &others, settings);
+    let (surface, _) = staged.contour(settings, PositionRounding::Local).map_err(|_| "not in memory")?;
+    Ok(surface)
 }
 
 /// Settings from text. Names that end in `/d` are lengths in spacings. The spacing is the true one, but the preset

@@ -23,6 +23,7 @@ mod scores;
 mod sets;
 
 use std::path::PathBuf;
+use std::sync::Mutex;
 use std::time::Instant;
 
 use meniscus::surface::particles::OwnedPositions;
@@ -89,6 +90,10 @@ impl Arguments {
                         _ => return Err("splashsurf=plain or splashsurf=post".into()),
                     });
                 }
+                "temporal" => {
+                    sets.reach = value.parse()?;
+                    settings.push((name.to_owned(), value.to_owned()));
+                }
                 _ if sets.parse_argument(name, value)? => {}
                 _ => settings.push((name.to_owned(), value.to_owned())),
             }
@@ -96,7 +101,7 @@ impl Arguments {
         let maker = match (meshes, peer) {
             (Some(meshes), _) => meshes,
             (None, Some(post)) => Maker::Splashsurf { peer: Box::new(Splashsurf::find()?), post, cell },
-            (None, None) => Maker::Ours(settings),
+            (None, None) => Maker::Ours { settings, smoothed: Mutex::default() },
         };
         Ok(Arguments { task: other_task.unwrap_or(Task::Score { maker, repeats }), sets })
     }

@@ -3,12 +3,9 @@
 use std::collections::BTreeMap;
 
 use glam::DVec3;
-use meniscus::surface::flicker::{
-    Carrier, Distribution, FlickerFrame, MovingParticles, carried_distances, flicker,
-};
+use meniscus::surface::flicker::{Carrier, Distribution, FlickerFrame, carried_distances, flicker};
 use meniscus::surface::mesh::Mesh;
 use meniscus::surface::obstacle::{MeshDistance, MeshSdf};
-use meniscus::surface::particles::OwnedPositions;
 use meniscus_formats::MeshData;
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
@@ -86,13 +83,8 @@ fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Ou
         let made = maker.make(set, frame)?;
         measures.add_costs(&made);
         measures.add_shape(&made, frame, set.spacing);
-        let particles = MovingParticles {
-            positions: OwnedPositions::F64(frame.points.iter().map(DVec3::to_array).collect()),
-            ids: frame.motion.ids.clone(),
-            velocities: frame.motion.velocities.clone(),
-        };
         let surface = MeshDistance::new(&made.mesh.positions, &made.mesh.triangles);
-        frames.push(FlickerFrame::new(particles, surface, set.spacing));
+        frames.push(FlickerFrame::new(frame.moving_particles(), surface, set.spacing));
     }
     let has_ids = frames.iter().all(|frame| frame.has(Carrier::Ids));
     let carrier = if has_ids { Carrier::Ids } else { Carrier::Velocities { seconds } };

@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 
 use glam::{DQuat, DVec3, IVec3};
 use meniscus::pipeline::particles;
+use meniscus::surface::flicker::MovingParticles;
+use meniscus::surface::particles::OwnedPositions;
 use meniscus_formats::{AttributeRole, FileAttribute, Limits, Values, read_particles};
 
 use super::heights::{Rays, Up};
@@ -21,6 +23,8 @@ pub(super) struct Set {
     pub(super) spacing: f64,
     /// The frames: at least one.
     pub(super) frames: Vec<Frame>,
+    /// Frames before and after these, which are not scored.
+    pub(super) around: Vec<Frame>,
     pub(super) kind: Kind,
 }
 
@@ -28,6 +32,14 @@ pub(super) struct Frame {
     pub(super) number: usize,
     pub(super) points: Vec<DVec3>,
     pub(super) motion: Motion,
+}
+
+impl Frame {
+    pub(super) fn moving_particles(&self) -> MovingParticles {
+        let positions = OwnedPositions::F64(self.points.iter().map(DVec3::to_array).collect());
+        let Motion { ids, velocities } = self.motion.clone();
+        MovingParticles { positions, ids, velocities }
+    }
 }
 
 /// The motion data of particles in a file.
@@ -64,7 +76,13 @@ impl Set {
 
     fn new(name: &str, spacing: f64, frames: Vec<Vec<DVec3>>, kind: Kind) -> Set {
         let frame = |(number, points)| Frame { number, points, motion: Motion::default() };
-        Set { name: name.into(), spacing, frames: frames.into_iter().enumerate().map(frame).collect(), kind }
+        let frames = frames.into_iter().enumerate().map(frame).collect();
+        Set { name: name.into(), spacing, frames, around: Vec::new(), kind }
+    }
+
+    /// The frame with this number, if it is known.
+    pub(super) fn frame(&self, number: usize) -> Option<&Frame> {
+        self.frames.iter().chain(&self.around).find(|frame| frame.number == number)
     }
 }
 
@@ -111,6 +129,8 @@ pub(super) struct Sets {
     every: usize,
     /// Files with their spacing.
     files: Vec<(PathBuf, f64)>,
+    /// How many frames before and after those that are scored are known.
+    pub(super) reach: usize,
     moving: Vec<Moving>,
     /// Folders of pools with their spacing.
     pools: Vec<(PathBuf, f64)>,
@@ -132,7 +152,7 @@ struct Moving {
 impl Default for Sets {
     fn default() -> Sets {
         let (files, moving, pools) = (Vec::new(), Vec::new(), Vec::new());
-        Sets { only: None, every: 10, files, moving, pools, walls: [0.0; 4], up: Up::Z }
+        Sets { only: None, every: 10, files, reach: 0, moving, pools, walls: [0.0; 4], up: Up::Z }
     }
 }
 
@@ -198,7 +218,7 @@ impl Sets {
     /// Calls `visitor` for each set. Only one is in memory at a time.
     pub(super) fn visit(&self, mut visitor: impl FnMut(Set) -> Outcome<()>) -> Outcome<()> {
         for (name, flow, count, jitter) in FLOWS.into_iter().filter(|flow| self.wants(flow.0)) {
-            visitor(in_flow(name, flow, count, jitter, self.every))?;
+            visitor(in_flow(name, flow, count, jitter, self.every, self.reach))?;
         }
         for (name, generate) in GENERATED.into_iter().filter(|set| self.wants(set.0)) {
             let (frames, spacing, kind) = generate();
@@ -209,9 +229,23 @@ impl Sets {
         }
         for Moving { folder, spacing, seconds, window } in &self.moving {
             let frames = frames_in(folder, window.clone())?;
+            let mut around = Vec::new();
+            if let Some(window) = window {
+                let (first, last) = (*window.start(), *window.end());
+                let last_of_all = paths_in(folder)?.len() - 1;
+                let wider = first.saturating_sub(self.reach)..=(last + self.reach).min(last_of_all);
+                around = frames_in(folder, Some(wider))?;
+                around.retain(|frame| !window.contains(&frame.number));
+            }
             let of_window = window.as_ref().map(|window| format!(" {}-{}", window.start(), window.end()));
             let name = stem_of(folder) + &of_window.unwrap_or_default();
-            visitor(Set { name, spacing: *spacing, frames, kind: Kind::Moving { seconds: *seconds } })?;
+            visitor(Set {
+                name,
+                spacing: *spacing,
+                frames,
+                around,
+                kind: Kind::Moving { seconds: *seconds },
+            })?;
         }
         for (folder, spacing) in &self.pools {
             let kind = Kind::Pool { rays: Rays::new(self.walls, self.up, *spacing) };
@@ -219,6 +253,7 @@ impl Sets {
                 name: stem_of(folder),
                 spacing: *spacing,
                 frames: frames_in(folder, None)?,
+                around: Vec::new(),
                 kind,
             })?;
         }
@@ -230,21 +265,26 @@ fn generated_names() -> impl Iterator<Item = &'static str> {
     FLOWS.iter().map(|flow| flow.0).chain(GENERATED.iter().map(|set| set.0))
 }
 
-fn in_flow(name: &str, flow: Flow, count: usize, jitter: f64, every: usize) -> Set {
+fn in_flow(name: &str, flow: Flow, count: usize, jitter: f64, every: usize, reach: usize) -> Set {
     let (mut points, spacing) = particles_in(flow, count);
     let mut random = Random::new(7);
     for point in &mut points {
         *point += jitter * spacing * random_offset(&mut random);
     }
-    let mut frames = Vec::new();
+    let (mut frames, mut around) = (Vec::new(), Vec::new());
     let time = |number: usize| flow.period() * number as f64 / FRAMES as f64;
+    let ids: Vec<i64> = (0..).take(points.len()).collect();
     for number in 0..=FRAMES {
+        let motion = Motion { ids: Some(ids.clone()), velocities: None };
+        let frame = || Frame { number, points: points.clone(), motion };
         if (number + 1) % every <= 2 {
-            frames.push(Frame { number, points: points.clone(), motion: Motion::default() });
+            frames.push(frame());
+        } else if (number + 1 + reach) % every <= 2 + 2 * reach {
+            around.push(frame());
         }
         flow.carry(&mut points, time(number), time(number + 1));
     }
-    Set { name: name.into(), spacing, frames, kind: Kind::Flow(flow) }
+    Set { name: name.into(), spacing, frames, around, kind: Kind::Flow(flow) }
 }
 
 /// A vector with components from −1 to 1.
@@ -385,13 +425,19 @@ fn stem_of(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The frames in a folder, or those in a window: the files with an extension, sorted by the length of their
-/// names first, because some numbers have no leading zeros.
-fn frames_in(folder: &Path, window: Option<RangeInclusive<usize>>) -> Outcome<Vec<Frame>> {
+/// The files in a folder that have an extension, sorted by the length of their names first, because some numbers
+/// have no leading zeros.
+fn paths_in(folder: &Path) -> Outcome<Vec<PathBuf>> {
     let mut paths: Vec<PathBuf> =
         fs::read_dir(folder)?.map(|entry| entry.map(|entry| entry.path())).collect::<Result<_, _>>()?;
     paths.retain(|path| path.extension().is_some());
     paths.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
+    Ok(paths)
+}
+
+/// The frames in a folder, or those in a window.
+fn frames_in(folder: &Path, window: Option<RangeInclusive<usize>>) -> Outcome<Vec<Frame>> {
+    let paths = paths_in(folder)?;
     let window = window.unwrap_or(0..=paths.len().wrapping_sub(1));
     let chosen = paths.get(window.clone()).filter(|chosen| !chosen.is_empty());
     let chosen = chosen.ok_or_else(|| {

@@ -498,6 +498,11 @@ option_set! {
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(super) settle: Option<Duration>,
 
+        /// How long a frame waits for those around it that have not come, with --temporal; then it is converted
+        /// without them, and again when they come [default: 30s]
+        #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+        pub(super) temporal_wait: Option<Duration>,
+
         /// Find changes by scanning the folders at this interval; auto does so only where the operating
         /// system sends no file-system events, as on network file systems [default: auto]
         #[arg(long, value_name = "TIME", value_parser = parse_poll)]

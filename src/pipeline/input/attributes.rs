@@ -17,6 +17,8 @@ pub struct AttributeRequest {
     needed: Vec<RequiredAttribute>,
     /// Attributes to transfer to the surface.
     selected: Option<AttributeSelection>,
+    /// Whether ids and velocities are wanted, if there are any, to follow the particles.
+    follows: bool,
     /// The condition that particles must meet.
     pub(crate) filter: Option<ParticleFilter>,
 }
@@ -88,7 +90,7 @@ impl AttributeRequest {
                 is_length: false,
             });
         }
-        AttributeRequest { selected: settings.attributes.clone(), ..request }
+        AttributeRequest { selected: settings.attributes.clone(), follows: settings.temporal > 0, ..request }
     }
 
     /// The per-particle radii of the chosen particles.
@@ -100,7 +102,7 @@ impl AttributeRequest {
             is_length: true,
         });
         let (needed, filter) = (radii.into_iter().collect(), options.filter.clone());
-        AttributeRequest { needed, selected: None, filter }
+        AttributeRequest { needed, filter, ..AttributeRequest::default() }
     }
 
     /// The positions of the particles that meet the condition.
@@ -115,7 +117,7 @@ impl AttributeRequest {
 
     /// Whether only the positions of the chosen particles are needed.
     pub fn is_empty(&self) -> bool {
-        self.needed.is_empty() && self.selected.is_none()
+        self.needed.is_empty() && self.selected.is_none() && !self.follows
     }
 
     /// Selects the requested attributes of a file, with warnings.
@@ -182,7 +184,8 @@ impl AttributeRequest {
         let is_all = self.selected == Some(AttributeSelection::All);
         let is_kept = |attribute: &Attribute| {
             let is_needed = self.needed.iter().any(|needed| needed.is(attribute));
-            is_needed || is_all || is_named(attribute)
+            let is_followed = self.follows && matches!(attribute.role, Role::Id | Role::Velocity);
+            is_needed || is_all || is_followed || is_named(attribute)
         };
         let kept = (0..all.len()).filter(|index| is_kept(&all[*index]) || for_filter.contains(index));
         let kept: Vec<Attribute> = kept.filter_map(&mut load).map(attribute).collect();

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::surface::options::Settings;
 use crate::surface::report::ReconstructionReport;
 
+use super::around::{AroundFrame, RecordedAround};
 use super::level_set_file::is_level_set;
 use super::obstacles::ObstacleFiles;
 use super::source::FrameFile;
@@ -20,7 +21,7 @@ use crate::pipeline::records::frame_records::{
     FrameRecords, OutputComparison, ResultState, SettingValues, Wanted, settings_id,
 };
 use crate::pipeline::records::frame_warnings::fault;
-use crate::pipeline::records::provenance::{recorded_settings, valid_cameras};
+use crate::pipeline::records::provenance::{MadeFrom, recorded_settings, valid_cameras};
 use crate::pipeline::records::record::certificate;
 use crate::pipeline::records::record_line::{DoneRecord, OutputFile};
 use crate::pipeline::target::framing::Framing;
@@ -85,6 +86,9 @@ pub struct Frame {
     pub number: Option<i64>,
     /// Its obstacles.
     pub obstacles: Arc<ObstacleFiles>,
+    /// The frames before and after it with which its surface is averaged; as many as
+    /// [`Settings::temporal`](crate::surface::options::Settings) asks for, or fewer at the ends of a sequence.
+    pub around: Arc<[AroundFrame]>,
     /// The camera of its sequence, if later frames may still change it; `None` if the camera in `outputs` is
     /// used.
     pub framing: Option<Arc<Framing>>,
@@ -105,6 +109,7 @@ impl Frame {
             outputs: Arc::clone(outputs),
             number: file.number(),
             obstacles: Arc::default(),
+            around: Arc::default(),
             framing: None,
             obstacle_stamp: None,
             records: None,
@@ -115,6 +120,11 @@ impl Frame {
     pub(crate) fn with_camera(&self, camera: CameraChoice) -> Frame {
         let picture = PictureOptions { camera, ..self.outputs.picture };
         Frame { outputs: Arc::new(OutputOptions { picture, ..(*self.outputs).clone() }), ..self.clone() }
+    }
+
+    /// Whether its surface is averaged with those of other frames, if there are any.
+    pub(crate) fn is_averaged(&self) -> bool {
+        self.job == Job::Surface && self.settings.temporal > 0
     }
 
     /// Whether pictures of the frame are written.
@@ -147,11 +157,10 @@ impl Frame {
         within.unwrap_or_default().join(&self.stem)
     }
 
-    /// The recorded state of the frame's outputs, if it has records and its input has this hash.
+    /// The recorded state of the frame's outputs, if it has records, made from these files.
     pub(crate) fn recorded_state(
         &self,
-        input_hash: u128,
-        obstacles: &str,
+        made_from: MadeFrom<'_>,
     ) -> Option<(ResultState, Option<Arc<DoneRecord>>)> {
         let records = self.records.as_ref()?;
         let name = |path: PathBuf| path.file_name().unwrap_or_default().into();
@@ -159,8 +168,9 @@ impl Frame {
         let wanted = Wanted {
             name: &self.recorded_name(records),
             outputs: Some(self.output_paths().into_iter().map(name).collect()),
-            input_hash: Some(input_hash),
-            obstacles: Some(obstacles),
+            input_hash: Some(made_from.input_hash),
+            obstacles: Some(made_from.obstacles),
+            around: Some(made_from.around),
             settings_id: &settings_id(&settings),
             settings: Some(&settings),
             cameras: valid_cameras(&self.outputs, self.framing.as_deref()),
@@ -187,6 +197,7 @@ impl Frame {
             stamp: report.input.stamp,
             input_hash: report.input.hash,
             obstacles: report.obstacles.clone(),
+            around: report.around.clone(),
             obstacle_stamp: self.obstacle_stamp.clone(),
             settings: settings_id(&settings),
             camera: self.has_pictures().then(|| self.outputs.picture.camera.to_string()),
@@ -301,6 +312,8 @@ pub struct FrameReport {
     pub reconstruction: ReconstructionReport,
     /// The names and hashes of its obstacle files; empty without obstacles.
     pub obstacles: String,
+    /// The frames before and after it with which it is averaged.
+    pub around: Vec<RecordedAround>,
     /// The number of boundary edges of the obstacle meshes.
     pub obstacle_open_edge_count: usize,
     /// The voxel size of a level set, in world units; `None` for other inputs, whose settings contain it.

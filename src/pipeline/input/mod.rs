@@ -6,6 +6,7 @@
 //!   frame_input  particles in memory or on disk, or a level set
 //!   reading     reads files and parses particles         attributes   the attributes that a frame needs
 //!   filter      chooses particles by their attributes
+//!   around      the frames before and after a frame
 //!   level_set_file  level sets from .vdb                 mesh_file    meshes of any supported format
 //!   measured_spacing  the spacing of a sequence          conflicts    outputs that would replace inputs
 //!   obstacles   the obstacles of a frame                 obstacle_file  reads and parses one of them
@@ -13,6 +14,7 @@
 //!   position_doubts  positions that cannot make the expected surface
 //! ```
 
+pub(super) mod around;
 pub(super) mod attributes;
 pub(super) mod bounds;
 pub(super) mod conflicts;

@@ -25,7 +25,7 @@ use crate::pipeline::files::atomic_write::{StagedFile, commit};
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::input::bounds::EMPTY_BOUNDS;
 use crate::pipeline::input::frame::Frame;
-use crate::pipeline::records::provenance::provenance;
+use crate::pipeline::records::provenance::{MadeFrom, provenance};
 use crate::pipeline::records::record_line::OutputFile;
 use crate::pipeline::scheduler::Scheduler;
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, output_path};
@@ -80,7 +80,7 @@ pub(crate) fn write_files(
 pub(crate) fn write_surface_as<'env>(
     surface: &Arc<FrameSurface>,
     (number, frame): (usize, &Frame),
-    made_from: (u128, &str),
+    made_from: MadeFrom<'_>,
     format: OutputFormat,
     scheduler: &Scheduler<'_, '_, 'env>,
     out: &mut impl Write,

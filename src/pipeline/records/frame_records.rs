@@ -53,6 +53,7 @@ use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::open::open_own;
 use crate::pipeline::files::out_folder::is_disk_full;
 use crate::pipeline::files::stamp::{FileStamp, now_ms};
+use crate::pipeline::input::around::RecordedAround;
 use crate::pipeline::input::steps::file_of;
 
 /// The folder for this program's own files, in the folder of outputs.
@@ -99,6 +100,8 @@ pub struct Wanted<'a> {
     pub input_hash: Option<u128>,
     /// The names and hashes of its obstacle files; `None` if they are not known.
     pub obstacles: Option<&'a str>,
+    /// The frames before and after it; `None` if they are not known.
+    pub around: Option<&'a [RecordedAround]>,
     /// The id of its settings.
     pub settings_id: &'a str,
     /// Its settings, for messages about recorded ones that differ; `None` if they are not known.
@@ -365,6 +368,19 @@ impl FrameRecords {
         }
         if wanted.obstacles.is_some_and(|obstacles| obstacles != record.obstacles) {
             return Some("the obstacles have changed since it was made".to_owned());
+        }
+        let is_same = |wanted_around: &RecordedAround, recorded: &RecordedAround| {
+            let has_obstacles = wanted.obstacles.is_none() || wanted_around.obstacles == recorded.obstacles;
+            let [one, other] =
+                [wanted_around, recorded].map(|around| (around.steps, &around.name, around.hash));
+            has_obstacles && one == other
+        };
+        let are_same = |around: &[RecordedAround]| {
+            around.len() == record.around.len()
+                && around.iter().zip(&record.around).all(|(wanted, recorded)| is_same(wanted, recorded))
+        };
+        if wanted.around.is_some_and(|around| !are_same(around)) {
+            return Some("the frames before or after it have changed since it was made".to_owned());
         }
         if !wanted.cameras.is_empty()
             && record.camera.as_ref().is_none_or(|camera| !wanted.cameras.contains(camera))

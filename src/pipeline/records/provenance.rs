@@ -14,6 +14,7 @@ use crate::surface::options::{MethodOptions, OptionGroup, Pairs, Settings};
 
 use super::frame_records::SettingValues;
 use crate::pipeline::files::open::open_regular;
+use crate::pipeline::input::around::RecordedAround;
 use crate::pipeline::input::frame::{Frame, Job};
 use crate::pipeline::input::obstacles::ObstacleFiles;
 use crate::pipeline::input::steps::frame_name;
@@ -36,14 +37,31 @@ pub(crate) fn hash_text(hash: u128) -> String {
     format!("xxh3-128:{hash:032x}")
 }
 
-/// The provenance (names and values) of an output of the frame in `format`. `hash` is that of the frame's
-/// input; `obstacles` are the names and hashes of its obstacle files.
+/// The files that a frame was made from.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct MadeFrom<'a> {
+    /// The hash of its input.
+    pub(crate) input_hash: u128,
+    /// The names and hashes of its obstacle files.
+    pub(crate) obstacles: &'a str,
+    /// The frames before and after it.
+    pub(crate) around: &'a [RecordedAround],
+}
+
+/// The provenance (names and values) of an output of the frame in `format`.
 pub(crate) fn provenance(
     frame: &Frame,
-    (hash, obstacles): (u128, &str),
+    MadeFrom { input_hash, obstacles, around }: MadeFrom<'_>,
     format: OutputFormat,
 ) -> Vec<(String, String)> {
-    let mut pairs = made_from(&frame.input, hash);
+    let mut pairs = made_from(&frame.input, input_hash);
+    if !around.is_empty() {
+        let text = |RecordedAround { steps, name, hash, obstacles }: &RecordedAround| {
+            let with = if obstacles.is_empty() { String::new() } else { format!(" with {obstacles}") };
+            format!("{steps:+} {name} {}{with}", hash_text(*hash))
+        };
+        pairs.push(("around", around.iter().map(text).collect::<Vec<_>>().join(", ")));
+    }
     pairs.extend(job_pairs(&frame.job, &frame.settings, format));
     if frame.job != Job::Particles {
         pairs.extend(obstacle_pairs(&frame.settings, obstacles));

@@ -43,6 +43,10 @@ pub enum Reason {
         #[serde(with = "path")]
         output: PathBuf,
     },
+    /// It waits for the frames around it, with which it is averaged.
+    FramesAround,
+    /// It is to be converted: the frames before or after it, with which it is averaged, have changed.
+    FramesAroundChanged,
     /// It is to be converted: it was queued or in progress when the daemon exited.
     Interrupted,
     /// It is to be converted: it failed with an error that may be temporary.
@@ -89,6 +93,12 @@ impl fmt::Display for Reason {
             Reason::SettingsChanged => "its settings or obstacles have changed since it was converted",
             Reason::OutputChanged { output } => {
                 return write!(f, "its output {} is missing or was changed", output.display());
+            }
+            Reason::FramesAround => {
+                "it waits for the frames around it, with which it is averaged: see --temporal-wait"
+            }
+            Reason::FramesAroundChanged => {
+                "the frames before or after it have changed since it was converted"
             }
             Reason::Interrupted => "the daemon exited before it finished the frame",
             Reason::Retry => "it failed with an error that may be temporary",

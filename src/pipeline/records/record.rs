@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use crate::surface::grid::LEAF_VOXELS;
 use crate::surface::options::{MethodOptions, Settings};
-use crate::surface::report::{EditReport, ReconstructionReport, ShapeStats};
+use crate::surface::report::{EditReport, ReconstructionReport, ShapeStats, TemporalReport};
 
 use super::provenance::{chosen_options, level_set_pairs};
 use crate::pipeline::files::atomic_write::write_atomically;
@@ -248,7 +248,8 @@ pub(crate) fn measured_json(report: &FrameReport) -> Value {
 }
 
 fn measured(report: &FrameReport) -> Object {
-    let ReconstructionReport { shapes, edits, contact, depth, mesh, smoothing, .. } = &report.reconstruction;
+    let ReconstructionReport { shapes, edits, contact, depth, mesh, smoothing, temporal, .. } =
+        &report.reconstruction;
     let reconstruction = &report.reconstruction;
     let obstacles = (!report.obstacles.is_empty()).then(|| {
         json!({
@@ -281,6 +282,7 @@ fn measured(report: &FrameReport) -> Object {
         ("reach_voxels", json!(smoothing.reach_voxels)),
         ("convergence", json!(smoothing.convergence)),
         ("cfl_exceeded", json!(smoothing.cfl_exceeded_count)),
+        ("temporal", json!((*temporal != TemporalReport::default()).then_some(temporal))),
     ]);
     measured.extend(reconstruction.transfer.iter().map(|transfer| ("attributes", json!(transfer))));
     measured.extend([

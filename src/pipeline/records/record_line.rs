@@ -12,6 +12,7 @@ use super::frame_records::SettingValues;
 use super::reason::Reason;
 use crate::pipeline::files::json::{hex, path, raw, text};
 use crate::pipeline::files::stamp::FileStamp;
+use crate::pipeline::input::around::RecordedAround;
 use crate::pipeline::input::measured_spacing::MeasuredSpacing;
 use crate::pipeline::target::framing::Framed;
 use crate::pipeline::target::viewpoint::CameraChoice;
@@ -59,6 +60,9 @@ pub struct DoneRecord {
     /// The names and hashes of its obstacle files.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub obstacles: String,
+    /// The frames before and after it with which it is averaged.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub around: Vec<RecordedAround>,
     /// A hash of the stamps of its obstacle files when the daemon queued it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub obstacle_stamp: Option<String>,
@@ -257,8 +261,10 @@ impl RecordLine {
             RecordLine::Settings { id, .. } => format!("settings {id}"),
             RecordLine::Done(done) => {
                 let hashes: Vec<u128> = done.outputs.iter().map(|file| file.hash).collect();
-                let DoneRecord { name, input_hash, obstacles, settings, camera, .. } = &**done;
-                format!("done {name:?} {input_hash:x} {settings} {obstacles} {camera:?} {hashes:x?}")
+                let DoneRecord { name, input_hash, obstacles, around, settings, camera, .. } = &**done;
+                format!(
+                    "done {name:?} {input_hash:x} {settings} {obstacles} {around:?} {camera:?} {hashes:x?}"
+                )
             }
             RecordLine::Unfinished(record) => unfinished_key(&record.input),
             RecordLine::Sequence { key, .. } => format!("sequence {key:?}"),
@@ -295,6 +301,7 @@ impl DoneRecord {
         self.input_hash == other.input_hash
             && self.settings == other.settings
             && self.obstacles == other.obstacles
+            && self.around == other.around
             && self.camera == other.camera
             && self.outputs.iter().map(|file| file.hash).eq(other.outputs.iter().map(|file| file.hash))
     }

@@ -1,14 +1,29 @@
 //! The three compute stages of the method. Each has one thread, which starts frames in the thread pool and
 //! computes nothing itself.
+//!
+//! A frame that is averaged over time is smoothed once, and kept for the frames around it: see `smoothed`.
+
+use std::sync::Arc;
 
 use crossbeam::channel::Sender;
+use meniscus_formats::Error;
+use twox_hash::XxHash3_128;
 
 use crate::pipeline::error::{Cause, FrameError, Stage};
+use crate::pipeline::input::around::{AroundFrame, FoundFrame, FrameContent, not_averaged};
+use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::filter::keep_chosen;
 use crate::pipeline::input::frame::Frame;
-use crate::pipeline::input::reading::read_particles_of;
-use crate::pipeline::method::{self, StagedInput};
+use crate::pipeline::input::frame_input::FrameInput;
+use crate::pipeline::input::reading::{parse_particles, read_frame_unchanged, read_particles_of};
+use crate::pipeline::method::{self, StagedInput, moving_particles};
+use crate::pipeline::warning::{InputWarning, Warning};
+use crate::surface::flicker::MovingParticles;
+use crate::surface::options::Settings;
 use crate::surface::reconstruction::FrameSurface;
+use crate::surface::temporal::{OtherFrame, TimedFrame};
+
+use super::read::{held_count, of_all_held};
 
 use super::shared::{
     FinishedFrame, InputInfo, Outlet, Passed, ReadContent, StageContext, Stages, WorkItem, outcome_of,
@@ -20,7 +35,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     pub(super) fn compute<K: Send + 'env, A: Send + 'env, B: Send + 'env>(
         &self,
         stage: Stage,
-        receive: impl Fn() -> Option<WorkItem<'env, K, A>>,
+        mut receive: impl FnMut() -> Option<WorkItem<'env, K, A>>,
         to: &Outlet<WorkItem<'env, K, B>>,
         finished: &Sender<FinishedFrame<K>>,
         work: fn(&StageContext<'env>, A, &Frame, &mut InputInfo<'env>) -> Result<B, FrameError>,
@@ -47,13 +62,27 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     }
 }
 
+/// A rasterized frame.
+pub(super) struct Rasterized {
+    staged: StagedInput,
+    /// Its particles, if it is averaged with others.
+    moving: Option<MovingParticles>,
+}
+
+/// A smoothed frame.
+pub(super) struct Smoothed {
+    staged: StagedInput,
+    /// The frame as others are averaged with it, if it is averaged with others.
+    timed: Option<Arc<TimedFrame>>,
+}
+
 /// Rasterizes particles, or bounds a level set: both result in a level set and its bounds.
 pub(super) fn rasterize(
     shared: &StageContext<'_>,
     content: ReadContent,
     frame: &Frame,
     info: &mut InputInfo<'_>,
-) -> Result<Passed<StagedInput>, FrameError> {
+) -> Result<Passed<Rasterized>, FrameError> {
     let (input, obstacles, plan) = match content {
         ReadContent::Particles(bytes) => return parsed(&bytes, frame),
         ReadContent::Surface { input, obstacles, plan } => (*input, obstacles, plan),
@@ -61,44 +90,162 @@ pub(super) fn rasterize(
     // A frame in tiles creates this folder and writes scratch files into it.
     let scratch = &frame.outputs.folder;
     shared.refuse_links(scratch)?;
-    let work = || method::rasterize(input, obstacles, &frame.settings, &plan, scratch);
+    let moving = if frame.is_averaged() { moving_particles(&input) } else { None };
+    let work = || {
+        let staged = method::rasterize(input, obstacles, &frame.settings, &plan, scratch)?;
+        Ok(Rasterized { staged, moving })
+    };
     shared.measured(Stage::Rasterize, frame, info, work).map(Passed::Surface)
 }
 
 /// Smooths a level set.
 pub(super) fn smooth(
     shared: &StageContext<'_>,
-    content: Passed<StagedInput>,
+    content: Passed<Rasterized>,
     frame: &Frame,
     info: &mut InputInfo<'_>,
-) -> Result<Passed<StagedInput>, FrameError> {
+) -> Result<Passed<Smoothed>, FrameError> {
     let advanced = &mut |fraction| {
         if let Some(observer) = shared.options.observer {
             observer.advanced(frame, Stage::Smooth, fraction);
         }
     };
-    content.try_map(|rasterized| {
-        let work = || rasterized.smooth(&frame.settings, advanced).map_err(Cause::Scratch);
-        shared.measured(Stage::Smooth, frame, info, work)
+    content.try_map(|Rasterized { staged, moving }| {
+        let work = || {
+            let staged = staged.smooth(&frame.settings, advanced).map_err(Cause::Scratch)?;
+            let timed = moving.and_then(|moving| timed(&staged, moving, &frame.settings));
+            Ok(Smoothed { staged, timed })
+        };
+        let smoothed = shared.measured(Stage::Smooth, frame, info, work)?;
+        if let Some(timed) = &smoothed.timed {
+            let content = FrameContent {
+                path: frame.input.clone(),
+                hash: info.input.hash,
+                obstacles: info.obstacles.recorded.clone(),
+            };
+            shared.keep(content, &frame.settings, timed);
+        }
+        info.computing = None;
+        Ok(smoothed)
     })
 }
 
-/// Contours a level set. Then releases the memory that only computing needs.
+/// Contours a level set, which is averaged with those around it first if the settings ask for that. Then releases
+/// the memory that only computing needs.
 pub(super) fn contour(
     shared: &StageContext<'_>,
-    content: Passed<StagedInput>,
+    content: Passed<Smoothed>,
     frame: &Frame,
     info: &mut InputInfo<'_>,
 ) -> Result<Passed<FrameSurface>, FrameError> {
-    content.try_map(|smoothed| {
-        let work = || method::contour(smoothed, &frame.settings, &frame.outputs);
+    content.try_map(|Smoothed { mut staged, timed }| {
+        let mut around = std::mem::take(&mut info.around);
+        let (mut other_count, mut warnings) = (0, Vec::new());
+        let work = || {
+            if let Some(timed) = &timed {
+                let others = others(shared, frame, &mut around, &mut warnings);
+                other_count = others.len();
+                staged.average(timed, &others, &frame.settings);
+            }
+            method::contour(staged, &frame.settings, &frame.outputs)
+        };
         let surface = shared.measured(Stage::Contour, frame, info, work)?;
+        if other_count > 0 && surface.report.temporal.frame_count == 0 {
+            warnings.push(Warning::Input(InputWarning::NotFollowed));
+        }
+        info.around = around;
+        info.noted.warnings.append(&mut warnings);
         let packing_bytes = surface.attributes.packing_bytes() as u64;
         let surface_bytes = surface.size_bytes().saturating_mul(WRITING_MEMORY);
         let writing_bytes = packing_bytes.saturating_add(frame.outputs.picture_bytes());
         info.memory.resize(surface_bytes.saturating_add(writing_bytes));
         Ok(surface)
     })
+}
+
+/// The frames that a frame is averaged with. One that cannot be made into a level set is left out, with a warning.
+fn others(
+    shared: &StageContext<'_>,
+    frame: &Frame,
+    around: &mut [FoundFrame],
+    warnings: &mut Vec<Warning>,
+) -> Vec<OtherFrame> {
+    let mut others = Vec::new();
+    for found in around {
+        let Some(content) = &found.content else { continue };
+        let kept = shared.smoothed.find(content, &frame.settings);
+        let compute = || smoothed_alone(shared, frame, (&found.frame, content));
+        let made =
+            kept.map_or_else(|| FrameError::catch(&content.path, Stage::Rasterize, compute).flatten(), Ok);
+        match made {
+            Ok(other) => others.push(OtherFrame { frame: other, steps: found.frame.steps }),
+            Err(error) => {
+                warnings.push(not_averaged(&error));
+                // Otherwise another attempt would end in the same way.
+                if !is_of_content(&error.cause) {
+                    found.content = None;
+                }
+            }
+        }
+    }
+    others
+}
+
+/// Whether the fault is in the content of files, so that every attempt on every machine finds it.
+fn is_of_content(cause: &Cause) -> bool {
+    match cause {
+        Cause::File(error) => !matches!(error, Error::Io(_) | Error::MemoryLimit { .. }),
+        cause => matches!(cause, Cause::Missing(_) | Cause::VoxelTooSmall(_) | Cause::Panic(_)),
+    }
+}
+
+/// Reads and smooths a frame that is not in the pipeline.
+fn smoothed_alone(
+    shared: &StageContext<'_>,
+    frame: &Frame,
+    (around, content): (&AroundFrame, &FrameContent),
+) -> Result<Arc<TimedFrame>, FrameError> {
+    let (path, settings) = (&content.path, &frame.settings);
+    let failed = |cause| FrameError { path: path.clone(), during: Stage::Read, cause };
+    let of_obstacle = |error| failed(Cause::Obstacle(Box::new(error)));
+    let read = read_frame_unchanged(path, shared.options.index_policy);
+    let (bytes, _) =
+        read.map_err(|error| failed(Cause::File(error)))?.ok_or_else(|| failed(Cause::Changed))?;
+    if XxHash3_128::oneshot(&bytes) != content.hash {
+        return Err(failed(Cause::Changed));
+    }
+    let read = parse_particles(path, &bytes, &AttributeRequest::for_settings(settings))?;
+    let obstacles = frame.obstacles.find(Some(around.number)).map_err(of_obstacle)?;
+    if obstacles.recorded() != content.obstacles {
+        return Err(failed(Cause::Changed));
+    }
+    let allowed_bytes = shared.options.memory_bytes / held_count(settings);
+    let obstacles = frame.obstacles.load(obstacles, settings, allowed_bytes).map_err(of_obstacle)?;
+    let input = FrameInput::InMemory(read.cloud);
+    let plan = method::plan(&input, &obstacles, settings, &frame.outputs, allowed_bytes);
+    let plan = plan.map_err(|cause| failed(of_all_held(cause, settings)))?;
+    let moving = moving_particles(&input);
+    let staged =
+        method::rasterize(input, obstacles, settings, &plan, &frame.outputs.folder).map_err(failed)?;
+    let staged = staged.smooth(settings, &mut |_| {}).map_err(|error| failed(Cause::Scratch(error)))?;
+    let timed = moving.and_then(|moving| timed(&staged, moving, settings));
+    let timed = timed.ok_or_else(|| failed(Cause::Missing("it has no level set in memory".to_owned())))?;
+    shared.keep(content.clone(), settings, &timed);
+    Ok(timed)
+}
+
+/// The frame as others are averaged with it.
+fn timed(staged: &StagedInput, moving: MovingParticles, settings: &Settings) -> Option<Arc<TimedFrame>> {
+    let band = Arc::new(staged.band()?.clone());
+    Some(Arc::new(TimedFrame::new(band, moving, settings.spacing)))
+}
+
+impl StageContext<'_> {
+    /// Keeps a smoothed frame for those around it, also if several threads work on frames in another order.
+    fn keep(&self, content: FrameContent, settings: &Arc<Settings>, timed: &Arc<TimedFrame>) {
+        let count = 2 * settings.temporal as usize + self.options.pool.current_num_threads();
+        self.smoothed.keep(content, settings, Arc::clone(timed), count);
+    }
 }
 
 fn parsed<T>(bytes: &[u8], frame: &Frame) -> Result<Passed<T>, FrameError> {

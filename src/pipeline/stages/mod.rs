@@ -25,11 +25,12 @@
 //! done already, leaves at once and overtakes others; [`run`] restores the order of outcomes.
 //!
 //! `shared` has the types that stages exchange, and measures the stages; `read`, `compute` and `write` are the
-//! stages.
+//! stages. `smoothed` keeps frames for those that are averaged with them.
 
 mod compute;
 mod read;
 mod shared;
+mod smoothed;
 mod write;
 
 use std::collections::BTreeMap;
@@ -47,7 +48,8 @@ use crate::pipeline::observer::Observer;
 use crate::pipeline::scheduler::{Scheduler, TaskQueue};
 
 use compute::{contour, rasterize, smooth};
-use shared::{FinishedFrame, StageContext, Stages, is_failure, link};
+use shared::{FinishedFrame, StageContext, Stages, WorkItem, is_failure, link};
+use smoothed::Gate;
 
 /// What to do when a frame fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -184,6 +186,7 @@ fn drive<'scope, 'env: 'scope, K: Send + 'env>(
             let receive = || {
                 let mut item = to_rasterize_from.recv().ok()?;
                 item.info.memory.reserve_compute(item.info.needed_bytes);
+                item.info.computing = item.info.user.as_ref().map(|user| user.begin(&item.frame.input));
                 Some(item)
             };
             stages.compute(Stage::Rasterize, receive, &to_smooth, &of_stage, rasterize);
@@ -193,7 +196,15 @@ fn drive<'scope, 'env: 'scope, K: Send + 'env>(
             stages.compute(Stage::Smooth, || to_smooth_from.receive(), &to_contour, &of_stage, smooth);
         });
         scope.spawn(move || {
-            stages.compute(Stage::Contour, || to_contour_from.receive(), &to_write, &done, contour);
+            let smoothed = &stages.shared.smoothed;
+            let mut gate = Gate::new(&to_contour_from, smoothed);
+            let receive = || {
+                gate.receive(|item: &WorkItem<'_, _, _>| {
+                    let mut around = item.info.around.iter().map(|found| &*found.frame.path);
+                    !smoothed.is_computing(&mut around)
+                })
+            };
+            stages.compute(Stage::Contour, receive, &to_write, &done, contour);
         });
         // A stage ends when the one before it has ended, so this thread must drop its ends of the channels.
         drop(to_write_from);

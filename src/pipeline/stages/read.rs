@@ -13,6 +13,7 @@ use twox_hash::XxHash3_128;
 
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::{InputFile, read_unchanged};
+use crate::pipeline::input::around::{self, FoundFrame, find_around};
 use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame::{Frame, InputState, Job, Outcome, Seconds};
 use crate::pipeline::input::frame_input::{FileParticles, FrameInput, LevelSetInput, read_level_set};
@@ -23,8 +24,10 @@ use crate::pipeline::input::position_doubts::position_doubts;
 use crate::pipeline::input::reading::{parse_particles, read_frame_unchanged};
 use crate::pipeline::input::steps::{reading_bytes, step_of};
 use crate::pipeline::method;
+use crate::pipeline::records::provenance::MadeFrom;
 use crate::pipeline::warning::Warning;
 use crate::surface::options::Settings;
+use crate::surface::reconstruction::TooLarge;
 
 use super::shared::{
     FinishedFrame, InputInfo, Noted, ObstacleSummary, ReadContent, Stages, WorkItem, outcome_of,
@@ -35,6 +38,7 @@ struct ReadResult {
     content: ReadContent,
     input: InputState,
     noted: Noted,
+    around: Vec<FoundFrame>,
 }
 
 impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
@@ -79,11 +83,14 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             Job::LevelSet { .. } => self.level_set_of(number, frame),
             Job::Particles => self.bytes_of(frame),
         });
-        let ReadResult { content, input, noted } = read.map_err(Outcome::Failed).flatten()?;
+        let ReadResult { content, input, noted, around } = read.map_err(Outcome::Failed).flatten()?;
+        let (user, computing) = (frame.is_averaged().then(|| shared.smoothed.user()), None);
         let seconds = Seconds { read: start.elapsed().as_secs_f64(), ..Seconds::default() };
         let ReadContent::Surface { input: given, obstacles, plan } = &content else {
             let (needed_bytes, obstacles) = (bytes, ObstacleSummary::default());
-            return Ok((content, InputInfo { input, seconds, noted, obstacles, needed_bytes, memory }));
+            let info =
+                InputInfo { input, seconds, noted, obstacles, around, user, computing, needed_bytes, memory };
+            return Ok((content, info));
         };
         // Static obstacles are shared with later frames. The address of the `Arc` identifies them; it does
         // not change while this pipeline has frames. Until `resize` below, this frame's reservation still
@@ -95,19 +102,23 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             observer.planned(frame, plan, given_bytes);
         }
         memory.resize(given_bytes);
-        let needed_bytes = plan.memory_bytes.saturating_add(given_bytes);
+        let needed_bytes =
+            plan.memory_bytes.saturating_add(given_bytes).saturating_mul(held_count(&frame.settings));
         let obstacles = ObstacleSummary {
             recorded: obstacles.recorded.clone(),
             open_edge_count: obstacles.open_edge_count,
         };
-        Ok((content, InputInfo { input, seconds, noted, obstacles, needed_bytes, memory }))
+        let info =
+            InputInfo { input, seconds, noted, obstacles, around, user, computing, needed_bytes, memory };
+        Ok((content, info))
     }
 
     /// The bytes of a frame that is converted to another particle format.
     fn bytes_of(&self, frame: &Frame) -> Result<ReadResult, Outcome> {
         let (bytes, input) = self.read_whole(frame)?;
-        self.refuse_done(frame, input, "")?;
-        Ok(ReadResult { content: ReadContent::Particles(bytes), input, noted: Noted::default() })
+        self.refuse_done(frame, input, "", &[])?;
+        let content = ReadContent::Particles(bytes);
+        Ok(ReadResult { content, input, noted: Noted::default(), around: Vec::new() })
     }
 
     /// Reads the level set of a frame, and gives the frame the voxel size and the origin of its file.
@@ -126,12 +137,12 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         });
         let (read, mut file, other_grids) = parsed.map_err(outcome_of)?;
         *frame = read;
-        self.refuse_done(frame, input, "")?;
+        self.refuse_done(frame, input, "", &[])?;
         let warnings = std::mem::take(&mut file.warnings).into_iter().chain(other_grids).collect();
         let given = FrameInput::LevelSet(Box::new(LevelSetInput::new(file, &frame.job)));
         let noted = Noted { warnings, unused_velocity: None };
         let found = FoundObstacles::default();
-        self.parse_and_plan(number, frame, move || Ok((given, noted)), found, input)
+        self.parse_and_plan(number, frame, move || Ok((given, noted)), (found, Vec::new()), input)
     }
 
     /// The bytes of a frame's file, or of its step.
@@ -151,6 +162,8 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let of_obstacle = |error| frame.failed(Stage::Read, Cause::Obstacle(Box::new(error)));
         let found = frame.obstacles.find(frame.number);
         let obstacles = found.map_err(|error| Outcome::Failed(of_obstacle(error)))?;
+        let shared = self.shared;
+        let (around, without) = find_around(frame, &shared.hashes, shared.options.index_policy);
         let wanted = AttributeRequest::for_settings(&frame.settings);
         if let Some(file) = self.worth_streaming(frame).map_err(|error| failed(error.into()))? {
             let failed = |error: io::Error| failed(error.into());
@@ -158,7 +171,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             if !file.is_unchanged().map_err(failed)? {
                 return Err(Outcome::Changed);
             }
-            self.refuse_done(frame, input, &obstacles.recorded())?;
+            self.refuse_done(frame, input, &obstacles.recorded(), &around)?;
             let streamed = FileParticles::open(&frame.input, file)
                 .map_err(|error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error)))?;
             if let Some(particles) = streamed {
@@ -170,18 +183,19 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                     let noted = Noted { warnings: warnings.map_err(failed)?, unused_velocity };
                     Ok((FrameInput::OnDisk(Box::new(particles)), noted))
                 };
-                return self.parse_and_plan(number, frame, choose, obstacles, input);
+                return self.parse_and_plan(number, frame, choose, (obstacles, around), input);
             }
         }
         let (bytes, input) = self.read_whole(frame)?;
-        self.refuse_done(frame, input, &obstacles.recorded())?;
+        self.refuse_done(frame, input, &obstacles.recorded(), &around)?;
         let path = frame.input.clone();
         let parse = move || {
             let read = parse_particles(&path, &bytes, &wanted)?;
-            let noted = Noted { warnings: read.warnings, unused_velocity: read.unused_velocity };
+            let warnings = [read.warnings, without].concat();
+            let noted = Noted { warnings, unused_velocity: read.unused_velocity };
             Ok((FrameInput::InMemory(read.cloud), noted))
         };
-        self.parse_and_plan(number, frame, parse, obstacles, input)
+        self.parse_and_plan(number, frame, parse, (obstacles, around), input)
     }
 
     /// Parses and plans a frame in the pool; only the reading before it happens on this thread.
@@ -190,10 +204,10 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         number: usize,
         frame: &Frame,
         parse: impl FnOnce() -> Result<(FrameInput, Noted), FrameError> + Send + 'env,
-        found: FoundObstacles,
+        (found, around): (FoundObstacles, Vec<FoundFrame>),
         input: InputState,
     ) -> Result<ReadResult, Outcome> {
-        let allowed_bytes = self.shared.options.memory_bytes;
+        let allowed_bytes = self.shared.options.memory_bytes / held_count(&frame.settings);
         let frame = frame.clone();
         let planned = self.scheduler.run(number, move || {
             let (given, mut noted) = parse()?;
@@ -207,7 +221,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             let by_path = obstacles.paths.iter().map(PathBuf::as_path).zip(members);
             warnings.extend(out_of_reach(by_path, &given, &frame.settings).map_err(failed)?);
             let plan = method::plan(&given, &obstacles, &frame.settings, &frame.outputs, allowed_bytes);
-            let plan = plan.map_err(failed)?;
+            let plan = plan.map_err(|cause| failed(of_all_held(cause, &frame.settings)))?;
             if plan.tile_leaves.is_some() {
                 let whole_bytes = plan.in_core_bytes.saturating_add(given.size_bytes());
                 warnings.push(Warning::Tiled { whole_bytes });
@@ -215,7 +229,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             Ok((ReadContent::Surface { input: Box::new(given), obstacles, plan }, noted))
         });
         let (content, noted) = planned.map_err(outcome_of)?;
-        Ok(ReadResult { content, input, noted })
+        Ok(ReadResult { content, input, noted, around })
     }
 
     /// The file of a frame that should be streamed twice in batches instead of being read at once.
@@ -228,14 +242,43 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     }
 
     /// Ends a frame that is done already, if such frames are skipped.
-    fn refuse_done(&self, frame: &Frame, input: InputState, obstacles: &str) -> Result<(), Outcome> {
+    fn refuse_done(
+        &self,
+        frame: &Frame,
+        input: InputState,
+        obstacles: &str,
+        around: &[FoundFrame],
+    ) -> Result<(), Outcome> {
         if !self.shared.options.skip_done {
             return Ok(());
         }
-        match frame.recorded_state(input.hash, obstacles) {
+        let made_from = MadeFrom { input_hash: input.hash, obstacles, around: &around::recorded(around) };
+        match frame.recorded_state(made_from) {
             Some((state, Some(record))) if state.is_done() => Err(Outcome::AlreadyDone { input, record }),
             _ => Ok(()),
         }
+    }
+}
+
+/// How many frames are in memory at most while one of them is averaged: those that it is averaged with, one of
+/// which may be computed meanwhile, and itself.
+pub(super) fn held_count(settings: &Settings) -> u64 {
+    match settings.temporal {
+        0 => 1,
+        reach => 2 * u64::from(reach) + 2,
+    }
+}
+
+/// The error of a frame that needs more than its part of the memory, as an error about all of the memory.
+pub(super) fn of_all_held(cause: Cause, settings: &Settings) -> Cause {
+    let count = held_count(settings);
+    match cause {
+        Cause::TooLarge(too_large) => Cause::TooLarge(TooLarge {
+            needed_bytes: too_large.needed_bytes.saturating_mul(count),
+            allowed_bytes: too_large.allowed_bytes.saturating_mul(count),
+            ..too_large
+        }),
+        cause => cause,
     }
 }
 

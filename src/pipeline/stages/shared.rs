@@ -12,6 +12,7 @@ use meniscus_formats::ParticleFrame;
 
 use crate::pipeline::budget::{Budget, Reservation};
 use crate::pipeline::error::{Cause, FrameError, Stage};
+use crate::pipeline::input::around::{FoundFrame, KnownHashes};
 use crate::pipeline::input::frame::{Frame, InputState, Outcome, Seconds};
 use crate::pipeline::input::frame_input::FrameInput;
 use crate::pipeline::input::obstacles::FrameObstacles;
@@ -20,12 +21,15 @@ use crate::pipeline::semaphore::{Permit, Semaphore};
 use crate::pipeline::warning::Warning;
 use crate::surface::reconstruction::MemoryPlan;
 
+use super::smoothed::{Computing, SmoothedFrames, User};
 use super::{OnError, PipelineOptions};
 
 /// The state that all stages share.
 pub(super) struct StageContext<'env> {
     pub(super) options: &'env PipelineOptions<'env>,
     pub(super) budget: Budget,
+    pub(super) smoothed: SmoothedFrames,
+    pub(super) hashes: KnownHashes,
     /// The number of the first frame that failed.
     first_failed: AtomicUsize,
 }
@@ -54,6 +58,12 @@ pub(super) struct InputInfo<'env> {
     pub(super) seconds: Seconds,
     pub(super) noted: Noted,
     pub(super) obstacles: ObstacleSummary,
+    /// The frames before and after it.
+    pub(super) around: Vec<FoundFrame>,
+    /// If it is averaged with others.
+    pub(super) user: Option<User<'env>>,
+    /// Until the frame is smoothed, if others are averaged with it.
+    pub(super) computing: Option<Computing<'env>>,
     /// The peak memory of the frame in all stages, in bytes.
     pub(super) needed_bytes: u64,
     pub(super) memory: Reservation<'env>,
@@ -107,11 +117,20 @@ pub(super) struct FinishedFrame<K> {
     pub(super) outcome: Outcome,
 }
 
+/// Smoothed frames that are kept for others may take this fraction of the memory.
+const KEPT_SHARE: u64 = 4;
+
 impl<'env> StageContext<'env> {
     /// The state before the first frame.
     pub(super) fn new(options: &'env PipelineOptions<'env>) -> StageContext<'env> {
         let budget = Budget::new(options.memory_bytes);
-        StageContext { options, budget, first_failed: AtomicUsize::new(usize::MAX) }
+        StageContext {
+            options,
+            budget,
+            smoothed: SmoothedFrames::new(options.memory_bytes / KEPT_SHARE),
+            hashes: KnownHashes::default(),
+            first_failed: AtomicUsize::new(usize::MAX),
+        }
     }
 
     /// Reports that a frame begins a stage.
@@ -203,6 +222,11 @@ impl<T> LinkSlot<T> {
 }
 
 impl<T> Inlet<T> {
+    /// The items, each with a permit that is dropped when the item is received.
+    pub(super) fn items(&self) -> &Receiver<(Permit, T)> {
+        &self.0
+    }
+
     /// Waits for the next item; `None` once the stage before has ended.
     pub(super) fn receive(&self) -> Option<T> {
         self.0.recv().ok().map(|(_, item)| item)

@@ -12,11 +12,12 @@ use meniscus_formats::ParticleFrame;
 
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::open::require_no_links;
+use crate::pipeline::input::around;
 use crate::pipeline::input::frame::{Frame, FrameReport, Job, Outcome};
 use crate::pipeline::memory::peak_memory_bytes;
 use crate::pipeline::output::particle_files::{particle_warnings, write_particles};
 use crate::pipeline::output::writing::{WrittenFiles, surface_warnings, write_files, write_surface_as};
-use crate::pipeline::records::provenance::provenance;
+use crate::pipeline::records::provenance::{MadeFrom, provenance};
 use crate::pipeline::target::outputs::OutputFormat;
 use crate::pipeline::target::picture::PictureScene;
 use crate::pipeline::warning::Warning;
@@ -57,7 +58,8 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let written = FrameError::catch(&frame.input, Stage::Write, || {
             self.shared.refuse_links(&frame.outputs.folder)?;
             let write = |format: OutputFormat, out: &mut BufWriter<&File>| {
-                let provenance = provenance(frame, (info.input.hash, ""), format);
+                let made_from = MadeFrom { input_hash: info.input.hash, ..MadeFrom::default() };
+                let provenance = provenance(frame, made_from, format);
                 write_particles(particles, format, &provenance, out)
             };
             let written = write_files(frame, write)?;
@@ -87,7 +89,12 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                 Some(framing) => frame.with_camera(framing.camera_for(bounds_of(&surface, frame))),
                 None => frame.clone(),
             };
-            let made_from = (info.input.hash, &*info.obstacles.recorded);
+            let around = around::recorded(&info.around);
+            let made_from = MadeFrom {
+                input_hash: info.input.hash,
+                obstacles: &info.obstacles.recorded,
+                around: &around,
+            };
             let mut preview_time = Duration::ZERO;
             let written = write_files(frame, |format, out| {
                 let start = Instant::now();
@@ -147,6 +154,7 @@ fn base_report(
     FrameReport {
         input: info.input,
         obstacles: recorded,
+        around: around::recorded(&info.around),
         obstacle_open_edge_count: open_edge_count,
         voxel_size: matches!(frame.job, Job::LevelSet { .. }).then_some(frame.settings.voxel_size),
         seconds: info.seconds,

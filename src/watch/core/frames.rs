@@ -17,7 +17,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{FileFrames, FileStamp, FrameFile, ObstacleStamps, Reason, output_stem};
+use crate::pipeline::{
+    FileFrames, FileStamp, FrameFile, ObstacleStamps, Reason, RecordedAround, output_stem,
+};
 
 use super::completeness::Candidate;
 
@@ -136,6 +138,10 @@ pub(crate) struct FrameState {
     pub(crate) was_inspected: bool,
     /// Whether a writer closed its file, which must then be read again.
     pub(crate) was_closed: bool,
+    /// Since when it is held for the frames around it.
+    pub(crate) waits_since: Option<Instant>,
+    /// The frames around it for which it was converted again.
+    pub(crate) tried_around: Vec<RecordedAround>,
     /// The stamps of its obstacles at the last inspection; `None` without obstacles.
     pub(crate) obstacles: Option<Arc<ObstacleStamps>>,
     /// Why it is to be converted.
@@ -243,6 +249,8 @@ impl FrameTable {
             scan_count,
             was_inspected: false,
             was_closed: false,
+            waits_since: None,
+            tried_around: Vec::new(),
             obstacles: None,
             reason: None,
             alarm_at: None,

@@ -52,6 +52,7 @@ impl Core {
         }
         self.check_space();
         self.resolve_sequences();
+        self.resolve_frames_around();
         self.start_frames();
     }
 
@@ -134,7 +135,10 @@ impl Core {
     /// same sequences, are left unconverted. Other held frames fail, because their settings cannot be
     /// measured.
     pub(crate) fn is_drained(&mut self) -> bool {
-        let is_busy = self.frames.is_inspecting(None) || !self.dirty_sequences.is_empty();
+        let is_busy = self.frames.is_inspecting(None)
+            || !self.dirty_sequences.is_empty()
+            || !self.waiting_around.is_empty()
+            || !self.doubtful_around.is_empty();
         if !self.is_ready() || self.queue.len() > 0 || self.measuring_count > 0 || is_busy {
             return false;
         }

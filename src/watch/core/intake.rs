@@ -100,6 +100,7 @@ impl Core {
     pub(super) fn add_frame(&mut self, id: &FrameId, candidate: Candidate) {
         let sequence = self.sequence_of(id);
         self.frames.insert(id, sequence, candidate, self.scan_count);
+        self.number_frame(id, sequence);
         // Clients see the frame after its first inspection, because at the start most frames turn out to be
         // done.
         let extent = if id.is_step() { InspectionExtent::All } else { InspectionExtent::AllOfJustSeen };
@@ -197,7 +198,7 @@ impl Core {
         self.failed.remove(id);
         if let Some(frame) = self.frames.get_mut(id) {
             (frame.stamp, frame.attempt_count, frame.is_sparse) = (*candidate.stamp(), 0, false);
-            frame.was_closed = false;
+            (frame.was_closed, frame.waits_since) = (false, None);
         }
     }
 
@@ -222,7 +223,9 @@ impl Core {
             return;
         }
         // Frames that waited for this one to measure the settings need not wait any longer.
-        self.dirty_sequences.insert(frame.sequence);
+        let sequence = frame.sequence;
+        self.dirty_sequences.insert(sequence);
+        self.unnumber_frame(id, sequence);
         self.unqueue(id);
         self.frames.remove(id);
         self.failed.remove(id);
@@ -482,6 +485,10 @@ impl Core {
         if let Some(frame) = self.frames.get_mut(id) {
             frame.obstacle_stamp = record.obstacle_stamp().cloned();
         }
+        // Frames around it may have come or changed while no daemon ran.
+        if self.averages(id.root) {
+            self.doubtful_around.insert(id.clone());
+        }
         self.set_phase(id, phase);
     }
 
@@ -575,6 +582,7 @@ impl Core {
     pub(super) fn release(&mut self, id: &FrameId) {
         let Some(sequence) = self.frames.get(id).map(|frame| frame.sequence) else { return };
         match self.sequences.get(sequence).settings.clone() {
+            SequenceSettings::Fixed(settings, _) if self.awaits_frames_around(id, &settings) => {}
             SequenceSettings::Fixed(settings, _) => self.enqueue(id, settings),
             SequenceSettings::Impossible(why) => self.fail_for_good(id, why),
             SequenceSettings::Unknown(_) | SequenceSettings::BeingMeasured => {
@@ -584,7 +592,9 @@ impl Core {
     }
 
     fn enqueue(&mut self, id: &FrameId, settings: Arc<Settings>) {
+        let around = self.frames_around(id, &settings);
         let Some(frame) = self.frames.get_mut(id) else { return };
+        frame.waits_since = None;
         let modified_ns = frame.stamp.modified_ns;
         let sequence = self.sequences.get(frame.sequence);
         frame.obstacle_stamp = frame.obstacles.as_deref().map(obstacle_stamp);
@@ -600,6 +610,7 @@ impl Core {
             outputs: self.output_options(id),
             number: file.number(),
             obstacles: Arc::clone(&self.roots[id.root].obstacles),
+            around,
             framing,
             obstacle_stamp,
             // The thread of the pipeline adds them: `io/pipeline.rs`.
@@ -715,6 +726,9 @@ impl Core {
 
     pub(super) fn set_phase(&mut self, id: &FrameId, phase: FramePhase) {
         let Some(sequence) = self.frames.set_phase(id, phase) else { return };
+        if matches!(phase, FramePhase::Held | FramePhase::Done | FramePhase::Failed) {
+            self.doubt_frames_around(id);
+        }
         // The measurement of other frames in the sequence may have waited for this frame.
         if matches!(self.sequences.get(sequence).settings, SequenceSettings::Unknown(_)) {
             self.dirty_sequences.insert(sequence);

@@ -7,11 +7,13 @@
 //!   frames         the phase of each frame       completeness   when a file is complete
 //!   sequences      settings, resolved once       decision       why a recorded frame is converted again
 //!   disk_guard     free space and mounts         publish        views for clients
+//!   around         frames that are averaged with those around them
 //! ```
 //!
 //! Every event is a fact that may be out of date. An event that is lost, doubled or late changes only when
 //! the daemon acts, not what it does.
 
+mod around;
 pub(crate) mod completeness;
 mod decision;
 pub(crate) mod disk_guard;

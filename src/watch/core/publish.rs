@@ -176,7 +176,7 @@ fn state_of(phase: FramePhase) -> Option<FrameProgress> {
 /// Whether a record applies to the frame in its current phase.
 fn is_about(record: &UnfinishedRecord, phase: FramePhase) -> bool {
     match record.state {
-        UnfinishedState::Waiting => matches!(phase, FramePhase::Settling(_)),
+        UnfinishedState::Waiting => matches!(phase, FramePhase::Settling(_) | FramePhase::Held),
         UnfinishedState::Queued => {
             matches!(phase, FramePhase::Queued | FramePhase::InProgress | FramePhase::Held)
         }
@@ -219,6 +219,7 @@ fn plan_of(config: &WatchConfig) -> Value {
         "memory_bytes": config.memory_bytes,
         "disk_floor_bytes": config.disk_floor_bytes,
         "settle_s": config.settle.as_secs_f64(),
+        "temporal_wait_s": config.temporal_wait.as_secs_f64(),
         "poll_s": match config.poll {
             Poll::Auto => None,
             Poll::Every(time) => Some(time.as_secs_f64()),

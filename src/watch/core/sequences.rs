@@ -19,9 +19,9 @@ use std::sync::Arc;
 use twox_hash::XxHash3_64;
 
 use crate::pipeline::{
-    DoneRecord, FileStamp, FrameError, FrameFile, Framing, Job, ObstacleFiles, ObstacleStamps, OutputOptions,
-    PictureOptions, RecordedFrame, ReportedWarnings, SequenceCamera, SequenceKey, SharedSettings,
-    are_single_frames, recorded_settings, settings_id, valid_cameras,
+    DoneRecord, FileStamp, FrameError, FrameFile, Framing, Job, NumberedFrames, ObstacleFiles,
+    ObstacleStamps, OutputOptions, PictureOptions, RecordedFrame, ReportedWarnings, SequenceCamera,
+    SequenceKey, SharedSettings, are_single_frames, recorded_settings, settings_id, valid_cameras,
 };
 use crate::surface::options::{self, Settings, SpacingOptions};
 use crate::watch::config::Watch;
@@ -57,6 +57,8 @@ pub(crate) struct WatchedSequence {
     single_in: Option<(usize, PathBuf, String)>,
     /// Its settings, or what is missing for them.
     pub(crate) settings: SequenceSettings,
+    /// Its frames that have numbers.
+    pub(crate) numbered: NumberedFrames<FrameId>,
     /// The camera of its pictures, if one had to be fitted.
     pub(crate) framing: Option<Arc<Framing>>,
     /// Whether it was logged that its frames wait for one with more particles.
@@ -141,6 +143,7 @@ impl Sequences {
             root: id.root,
             single_in,
             settings,
+            numbered: NumberedFrames::default(),
             framing,
             is_sparse_logged: false,
             is_neighbor_logged: false,

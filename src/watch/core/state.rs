@@ -1,6 +1,6 @@
 //! The state of the daemon.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::path::{self, Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -50,6 +50,10 @@ pub(crate) struct Core {
     pub(crate) counters: Counters,
     pub(super) now: Now,
     pub(super) effects: Vec<Effect>,
+    /// Held frames that wait for those around them.
+    pub(super) waiting_around: BTreeSet<FrameId>,
+    /// Frames that may have to be converted again, because those around them have changed.
+    pub(super) doubtful_around: BTreeSet<FrameId>,
     /// Frames whose views have changed, or that are gone. May contain duplicates.
     pub(super) changed: Vec<FrameId>,
     /// Sequences whose settings were determined.
@@ -144,6 +148,8 @@ impl Core {
             counters: Counters::default(),
             now,
             effects: Vec::new(),
+            waiting_around: BTreeSet::new(),
+            doubtful_around: BTreeSet::new(),
             changed: Vec::new(),
             changed_sequences: Vec::new(),
         }

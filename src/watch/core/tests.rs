@@ -70,6 +70,7 @@ fn config(root_count: usize, choices: &MethodOptions) -> WatchConfig {
         memory_bytes: GIB,
         disk_floor_bytes: GIB,
         settle: Duration::from_millis(500),
+        temporal_wait: Duration::from_secs(30),
         poll: Poll::Auto,
     }
 }

@@ -20,6 +20,7 @@ use super::{OptionName, PerParticleRadius, SettingsError, SpacingOptions, positi
 use crate::contour::Contouring;
 use crate::particles::ParticleFilter;
 use crate::smooth::Integrator;
+use crate::temporal::FRAMES_MAX;
 
 /// Upper limit of `drop_islands`. A larger piece is not an island to drop. It may also be so thick that its
 /// deep leaves are not stored, and its particles cannot be counted.
@@ -54,6 +55,12 @@ pub(super) const STEP_SIZE_MIN: f64 = 1e-6;
 
 /// The largest size of a step, in units of h⁴.
 pub(super) const STEP_SIZE_MAX: f64 = 1e4;
+
+/// The shortest time between two frames, in seconds.
+const TIME_STEP_MIN: f64 = 1e-9;
+
+/// The longest time between two frames, in seconds.
+const TIME_STEP_MAX: f64 = 1e9;
 
 method_options! {
     /// All options of the method. `None` means the value of the preset. Lengths are in world units, particle
@@ -169,7 +176,24 @@ method_options! {
             /// velocities per frame it is the frame rate, so that they are per second [default: 1]
             #[value(named("F"))]
             velocity_scale: f64 in VELOCITY_SCALE_MIN..=VELOCITY_SCALE_MAX
-                => [OptionName::new("attributes"), OptionName::with_value("anisotropy", "velocity")], uses_velocities,
+                => [
+                    OptionName::new("attributes"),
+                    OptionName::with_value("anisotropy", "velocity"),
+                    OptionName::new("time_step"),
+                ],
+                uses_velocities,
+
+            /// Average each surface with those of this many frames before and after it, along the motion of
+            /// the particles, 0 to 3; particles are followed by ids, or by velocities with --time-step
+            /// [default: 0]
+            #[value(named("N"))]
+            temporal: u32 in 0..=FRAMES_MAX,
+
+            /// Seconds between two frames, 1e-9 to 1e9, for --temporal with particles that have velocities and no ids
+            #[value(named("SECONDS"))]
+            time_step: f64 in TIME_STEP_MIN..=TIME_STEP_MAX
+                => [OptionName::new("temporal")],
+                |options, _| options.temporal.unwrap_or(0) > 0,
         }
         Surface {
             /// Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]
@@ -330,7 +354,8 @@ impl MethodOptions {
 }
 
 fn uses_velocities(options: &MethodOptions, _: bool) -> bool {
-    options.attributes.is_some() || options.anisotropy_kind() == AnisotropyKind::Velocity
+    let has_attributes = options.attributes.is_some() || options.time_step.is_some();
+    has_attributes || options.anisotropy_kind() == AnisotropyKind::Velocity
 }
 
 fn stretches_by_neighbors(options: &MethodOptions, _: bool) -> bool {
@@ -391,6 +416,8 @@ mod tests {
             steps: Some(u32::MAX),
             step_size: Some(1e-300),
             redistance_every: Some(7),
+            temporal: Some(2),
+            time_step: Some(1.0 / 24.0),
             ..every()
         }
     }

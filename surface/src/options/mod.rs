@@ -92,6 +92,10 @@ pub struct Settings {
     pub step_size: f64,
     /// Number of biharmonic steps between redistancings.
     pub redistance_every: u32,
+    /// Number of frames before and after each frame with which its surface is averaged.
+    pub temporal: u32,
+    /// Seconds between two frames, for particles without ids.
+    pub time_step: Option<f64>,
     /// The contouring method.
     pub contouring: Contouring,
 }
@@ -186,6 +190,7 @@ enum SettingsFault {
     UnknownSpacing,
     QuadsOfTetrahedra,
     QuadsDecimated,
+    SingleFrame,
 }
 
 impl SettingsError {
@@ -198,6 +203,10 @@ impl SettingsError {
     pub fn message(&self, spelled: impl Fn(OptionName) -> String) -> String {
         let quads = OptionName::new("quads");
         match &self.0 {
+            SettingsFault::SingleFrame => format!(
+                "{} averages the frames of a sequence, and this is a single frame: leave it out",
+                spelled(OptionName::new("temporal"))
+            ),
             SettingsFault::Value(what) => what.clone(),
             SettingsFault::UnknownSpacing => {
                 format!("the particle spacing is unknown: give {}", spelled(OptionName::new("spacing")))
@@ -289,6 +298,8 @@ impl Settings {
             steps: options.steps.unwrap_or_else(|| default_steps(&recipe, integrator, voxels)),
             step_size: options.step_size.unwrap_or_else(|| default_step_size(&recipe, integrator, voxels)),
             redistance_every: options.redistance_every.unwrap_or(if explicit { 50 } else { 1 }),
+            temporal: options.temporal.unwrap_or(0),
+            time_step: options.time_step,
             contouring: options.contour.unwrap_or_default(),
         };
         settings.check_together()?;
@@ -319,7 +330,9 @@ impl Settings {
     pub fn for_level_sets(options: &MethodOptions) -> Result<Settings, SettingsError> {
         let offset =
             options.offset.and_then(Length::world).filter(|offset| offset.is_finite()).unwrap_or(0.0);
-        Settings::paper(if offset == 0.0 { 1.0 } else { offset.abs() }, options)
+        let settings = Settings::paper(if offset == 0.0 { 1.0 } else { offset.abs() }, options)?;
+        // There are no particles to follow.
+        Ok(Settings { temporal: 0, ..settings })
     }
 
     /// The same settings for another voxel size: the lengths that depend on the voxel size become those of
@@ -338,6 +351,14 @@ impl Settings {
             radius_max: lengths.radius_max,
             ..self.clone()
         })
+    }
+
+    /// Refuses settings that need other frames, for a frame that is reconstructed alone.
+    ///
+    /// # Errors
+    /// If the surface is to be averaged over time.
+    pub fn require_single_frame(&self) -> Result<(), SettingsError> {
+        if self.temporal > 0 { Err(SettingsFault::SingleFrame.into()) } else { Ok(()) }
     }
 
     /// Checks what depends on several options.

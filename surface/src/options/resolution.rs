@@ -295,13 +295,14 @@ pub type Pairs = Vec<(&'static str, String)>;
 
 /// Options that change nothing at these values, so files do not record them. Newer options need no entry
 /// here: [`Settings::to_options`] omits them if they change nothing.
-const OFF: [(&str, &str); 6] = [
+const OFF: [(&str, &str); 7] = [
     ("anisotropy", "none"),
     ("drop_islands", "0"),
     ("fill_cavities", "0"),
     ("decimate", "0"),
     ("smooth_normals", "0"),
     ("quads", "false"),
+    ("temporal", "0"),
 ];
 
 /// Options that files omit because recorded values imply them: all values contain the preset, and r_max the
@@ -367,6 +368,8 @@ impl Settings {
             steps: Some(self.steps),
             step_size: Some(self.step_size),
             redistance_every: Some(self.redistance_every),
+            temporal: Some(self.temporal),
+            time_step: self.time_step.filter(|_| self.temporal > 0),
         }
     }
 

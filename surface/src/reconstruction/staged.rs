@@ -20,7 +20,8 @@ use super::band::BoundedBand;
 use super::postprocess::{self, SurfaceExclusions};
 use super::tiles::{self, FieldStore, HALO_LEAVES, Storage, Tiling, tile_voxels, tiles_around};
 use super::{
-    FrameSurface, SurfaceAttributes, inside_obstacles, raster_params, reach_of_particles, smooth_config,
+    FrameSurface, SurfaceAttributes, inside_obstacles, lattice, raster_params, reach_of_particles,
+    smooth_config,
 };
 use crate::contour;
 use crate::grid::LEAF_EDGE;
@@ -33,6 +34,7 @@ use crate::rasterize::{self, Occupancy, ParticleBins, RasterFields, RasterParams
 use crate::report::{ReconstructionReport, ShapeStats, SmoothReport};
 use crate::smooth;
 use crate::space::CoordBox;
+use crate::temporal::{self, OtherFrame, TemporalConfig, TimedFrame};
 use crate::validation::{
     CheckedRegion, Checks, ExclusionMask, MeshCells, MovedParticle, ParticlesOutside, check,
     count_inputs_outside, count_inputs_outside_of_source, possibly_outside,
@@ -192,6 +194,31 @@ impl<S: ParticleSource> StagedFrame<S> {
         let reach_voxels = smoothed.reach_voxels.map(|reach| reach.saturating_add(reach_before));
         self.report.smoothing = SmoothReport { reach_voxels, ..smoothed };
         Ok(self)
+    }
+
+    /// The level set; `None` if it is in tiles, or was not made from particles.
+    pub fn band(&self) -> Option<&NarrowBand> {
+        match &self.fields {
+            StagedFields::InMemory(fields, _) => Some(&fields.band),
+            StagedFields::Tiled(..) | StagedFields::LevelSet(_) => None,
+        }
+    }
+
+    /// After the second stage: averages the level set with those of other frames of the sequence. `own` is this
+    /// frame as these others see it. Has no effect on a frame in tiles or a level set.
+    pub fn average(&mut self, own: &TimedFrame, others: &[OtherFrame], settings: &Settings) {
+        let StagedFields::InMemory(fields, _) = &mut self.fields else { return };
+        let config = TemporalConfig {
+            frames: settings.temporal,
+            seconds: settings.time_step.map(|seconds| seconds * settings.velocity_scale),
+            spacing: settings.spacing,
+            lattice: lattice(settings),
+        };
+        let report = temporal::average(&mut fields.band, own, others, &config);
+        if report.frame_count > 0 {
+            smooth::restore(&mut fields.band, &fields.bounds, &smooth_config(settings, &self.obstacles));
+        }
+        self.report.temporal = report;
     }
 
     /// Third stage: the mesh with rounded positions, its measures, and the certificate. Also returns the

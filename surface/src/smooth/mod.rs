@@ -113,6 +113,12 @@ pub fn smooth(
     report
 }
 
+/// Restores the distances and bounds of a smoothed level set that was changed since.
+pub fn restore(band: &mut NarrowBand, bounds: &Bounds, config: &SmoothConfig) {
+    let without_steps = SmoothConfig { redistances_first: false, laplacian_steps: 0, steps: 0, ..*config };
+    smooth(band, bounds, &without_steps, &mut |_| {});
+}
+
 /// Moves values away from zero, unless the bounds require values that small.
 fn keep_off_zero(phi: &mut Field, bounds: &Bounds) {
     phi.leaves.par_iter_mut().enumerate().halved().for_each(|(leaf, phi)| {

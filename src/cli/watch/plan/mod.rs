@@ -249,6 +249,7 @@ fn config(watches: Vec<Watch>, once: bool, daemon: &DaemonArgs) -> Result<WatchC
         memory_bytes: memory_bytes(daemon.run.memory)?,
         disk_floor_bytes: daemon.disk_floor.unwrap_or(DISK_FLOOR_BYTES),
         settle: daemon.settle.unwrap_or(SETTLE),
+        temporal_wait: daemon.temporal_wait.unwrap_or(TEMPORAL_WAIT),
         poll: daemon.poll.unwrap_or(Poll::Auto),
     })
 }
@@ -291,6 +292,7 @@ fn absolute(path: &Path) -> Result<PathBuf> {
 }
 
 const SETTLE: Duration = Duration::from_millis(500);
+const TEMPORAL_WAIT: Duration = Duration::from_secs(30);
 const DISK_FLOOR_BYTES: u64 = 1 << 30;
 
 #[cfg(test)]

@@ -29,6 +29,7 @@ fn convert(records: &FrameRecords, name: &str, bytes: &str, voxel_size: &str) {
         stamp: FileStamp::default(),
         input_hash: 7,
         obstacles: String::new(),
+        around: Vec::new(),
         obstacle_stamp: None,
         settings: settings_id(&settings),
         camera: None,
@@ -50,6 +51,7 @@ fn wanted<'a>(name: &'a str, (id, settings): &'a (String, SettingValues), input_
         outputs: Some(vec![name.with_added_extension("glb")]),
         input_hash: Some(input_hash),
         obstacles: Some(""),
+        around: None,
         settings: Some(settings),
         cameras: Vec::new(),
     }

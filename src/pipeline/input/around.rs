@@ -1,0 +1,282 @@
+//! The frames before and after a frame, with which its surface is averaged (`--temporal`).
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use serde::{Deserialize, Serialize};
+use twox_hash::XxHash3_128;
+
+use super::frame::Frame;
+use super::obstacles::ObstacleFiles;
+use super::reading::read_frame_unchanged;
+use super::source::FrameFile;
+use super::steps::{IndexPolicy, file_of, frame_name};
+use crate::pipeline::error::{Cause, FrameError, Stage};
+use crate::pipeline::files::json::hex;
+use crate::pipeline::files::stamp::FileStamp;
+use crate::pipeline::warning::{FrameWarning, Warning};
+
+/// A frame before or after another one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AroundFrame {
+    /// By how many frames it is later; negative if it is earlier.
+    pub steps: i32,
+    /// Its file.
+    pub path: PathBuf,
+    /// Its number.
+    pub number: i64,
+}
+
+/// A frame before or after another one, when that one was read.
+#[derive(Clone, Debug)]
+pub(crate) struct FoundFrame {
+    pub(crate) frame: AroundFrame,
+    /// `None` if the frame is left out, because it could not be read or computed.
+    pub(crate) content: Option<FrameContent>,
+}
+
+/// What the level set of a frame is made from, besides the settings.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct FrameContent {
+    pub(crate) path: PathBuf,
+    /// The hash of its bytes.
+    pub(crate) hash: u128,
+    /// The names and hashes of its obstacle files.
+    pub(crate) obstacles: String,
+}
+
+/// A frame before or after another one in the record of that one.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RecordedAround {
+    /// By how many frames it is later; negative if it is earlier.
+    pub steps: i32,
+    /// Its name, without folder.
+    pub name: String,
+    /// The hash of its bytes; 0 if it was left out, because it could not be read or computed.
+    #[serde(with = "hex")]
+    pub hash: u128,
+    /// The names and hashes of its obstacle files.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub obstacles: String,
+}
+
+impl AroundFrame {
+    /// The frame as records contain it: independent of the folder that it is in.
+    pub fn recorded(&self, hash: Option<u128>, obstacles: &str) -> RecordedAround {
+        let (name, obstacles) = (frame_name(&self.path), obstacles.to_owned());
+        RecordedAround { steps: self.steps, name, hash: hash.unwrap_or(0), obstacles }
+    }
+}
+
+/// The frames as records contain them.
+pub(crate) fn recorded(around: &[FoundFrame]) -> Vec<RecordedAround> {
+    let recorded = |FoundFrame { frame, content }: &FoundFrame| match content {
+        Some(FrameContent { hash, obstacles, .. }) => frame.recorded(Some(*hash), obstacles),
+        None => frame.recorded(None, ""),
+    };
+    around.iter().map(recorded).collect()
+}
+
+/// The frames of a sequence by their numbers.
+#[derive(Clone, Debug)]
+pub struct NumberedFrames<T> {
+    /// Several frames with one number are between it and the next: they are averaged with none.
+    frames: BTreeMap<i64, Vec<T>>,
+    /// The smallest difference between two numbers.
+    step: Option<i64>,
+}
+
+impl<T> Default for NumberedFrames<T> {
+    fn default() -> NumberedFrames<T> {
+        NumberedFrames { frames: BTreeMap::new(), step: None }
+    }
+}
+
+impl<T: PartialEq> NumberedFrames<T> {
+    /// Adds a frame. Returns whether that changes how far apart frames are.
+    pub fn insert(&mut self, number: i64, frame: T) -> bool {
+        let before = self.frames.range(..number).next_back().and_then(|(at, _)| number.checked_sub(*at));
+        let after = self.frames.range(number.saturating_add(1)..).next();
+        let after = after.and_then(|(at, _)| at.checked_sub(number));
+        let step = [self.step, before, after].into_iter().flatten().min();
+        let of_number = self.frames.entry(number).or_default();
+        if !of_number.contains(&frame) {
+            of_number.push(frame);
+        }
+        std::mem::replace(&mut self.step, step) != step
+    }
+
+    /// Removes a frame. Returns whether that changes how far apart frames are.
+    pub fn remove(&mut self, number: i64, frame: &T) -> bool {
+        let Some(of_number) = self.frames.get_mut(&number) else { return false };
+        of_number.retain(|other| other != frame);
+        if !of_number.is_empty() {
+            return false;
+        }
+        self.frames.remove(&number);
+        let before = self.frames.range(..number).next_back().and_then(|(at, _)| number.checked_sub(*at));
+        let after = self.frames.range(number..).next().and_then(|(at, _)| at.checked_sub(number));
+        if before != self.step && after != self.step {
+            return false;
+        }
+        let following = self.frames.keys().zip(self.frames.keys().skip(1));
+        let step = following.filter_map(|(number, next)| next.checked_sub(*number)).min();
+        std::mem::replace(&mut self.step, step) != step
+    }
+
+    /// The frames up to `reach` steps before and after a frame, in order, with the number of steps and their
+    /// numbers. Where one is missing, the others keep their distance. A frame without a number, or with one that
+    /// others have, too, is next to no other one.
+    pub fn around(&self, number: Option<i64>, reach: u32) -> Vec<(i32, i64, &T)> {
+        let only = |number: i64| match &self.frames.get(&number)?[..] {
+            [frame] => Some(frame),
+            _ => None,
+        };
+        let Some(number) = number.filter(|number| only(*number).is_some()) else { return Vec::new() };
+        let reach = i32::try_from(reach).unwrap_or(i32::MAX);
+        let frame = |steps: i32| {
+            let number = number.checked_add(self.step?.checked_mul(steps.into())?)?;
+            Some((steps, number, only(number)?))
+        };
+        (-reach..=reach).filter(|steps| *steps != 0).filter_map(frame).collect()
+    }
+}
+
+impl NumberedFrames<PathBuf> {
+    /// All frames of a sequence.
+    pub fn of_files(files: &[FrameFile]) -> NumberedFrames<PathBuf> {
+        let mut numbered = NumberedFrames::default();
+        for (number, path) in files.iter().filter_map(|file| Some((file.number()?, &file.path))) {
+            numbered.insert(number, path.clone());
+        }
+        numbered
+    }
+
+    /// Like [`around`](Self::around), for a [frame](super::frame::Frame).
+    pub fn frames_around(&self, number: Option<i64>, reach: u32) -> Arc<[AroundFrame]> {
+        let frame =
+            |(steps, number, path): (i32, i64, &PathBuf)| AroundFrame { steps, path: path.clone(), number };
+        self.around(number, reach).into_iter().map(frame).collect()
+    }
+}
+
+/// Hashes of files that were read to compare them, by path. Each frame of a sequence is hashed for those around it,
+/// too.
+#[derive(Default)]
+pub(crate) struct KnownHashes(Mutex<HashMap<PathBuf, (FileStamp, u128)>>);
+
+/// More files than any frames in flight have around them.
+const HASHES_MAX: usize = 4096;
+
+impl KnownHashes {
+    /// The hash of a frame's bytes.
+    fn of(&self, path: &Path, index_policy: IndexPolicy) -> meniscus_formats::Result<u128> {
+        let known = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = FileStamp::of_path(file_of(path))?;
+        if let Some((stamp, hash)) = known().get(path)
+            && *stamp == now
+        {
+            return Ok(*hash);
+        }
+        let changed = || std::io::Error::other("the file changed while it was read");
+        let (bytes, stamp) = read_frame_unchanged(path, index_policy)?.ok_or_else(changed)?;
+        let hash = XxHash3_128::oneshot(&bytes);
+        let mut known = known();
+        if known.len() >= HASHES_MAX {
+            known.clear();
+        }
+        known.insert(path.to_owned(), (stamp, hash));
+        Ok(hash)
+    }
+}
+
+/// Finds and hashes the frames around a frame, with their obstacles. One that cannot be read now is left out, with
+/// a warning.
+pub(crate) fn find_around(
+    frame: &Frame,
+    hashes: &KnownHashes,
+    index_policy: IndexPolicy,
+) -> (Vec<FoundFrame>, Vec<Warning>) {
+    let mut warnings = Vec::new();
+    let mut find = |around: &AroundFrame| {
+        let content = content_of(around, &frame.obstacles, hashes, index_policy);
+        let content = content.map_err(|error| warnings.push(not_averaged(&error))).ok();
+        FoundFrame { frame: around.clone(), content }
+    };
+    (frame.around.iter().map(&mut find).collect(), warnings)
+}
+
+/// The warning about a frame around that is left out because of this error.
+pub(crate) fn not_averaged(error: &FrameError) -> Warning {
+    Warning::Frame(FrameWarning::NotAveraged { why: error.to_string() })
+}
+
+fn content_of(
+    around: &AroundFrame,
+    obstacles: &ObstacleFiles,
+    hashes: &KnownHashes,
+    index_policy: IndexPolicy,
+) -> Result<FrameContent, FrameError> {
+    let AroundFrame { path, number, .. } = around;
+    let hash = hashes.of(path, index_policy);
+    let hash = hash.map_err(|error| FrameError::file(path, Stage::Read, error))?;
+    let obstacles = obstacles.find(Some(*number)).map_err(|error| FrameError {
+        path: path.clone(),
+        during: Stage::Read,
+        cause: Cause::Obstacle(Box::new(error)),
+    })?;
+    Ok(FrameContent { path: path.clone(), hash, obstacles: obstacles.recorded() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn files(names: &[&str]) -> Vec<FrameFile> {
+        names.iter().map(|name| FrameFile::new(name.into())).collect()
+    }
+
+    fn numbers(given: &[i64], number: i64, reach: u32) -> Vec<(i32, i64)> {
+        let names: Vec<String> = given.iter().map(|number| format!("f.{number:04}.ply")).collect();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        let around = NumberedFrames::of_files(&files(&names)).frames_around(Some(number), reach);
+        around.iter().map(|frame| (frame.steps, frame.number)).collect()
+    }
+
+    #[test]
+    fn frames_around_keep_their_distance() {
+        assert_eq!(numbers(&[1, 2, 3, 4], 2, 1), [(-1, 1), (1, 3)]);
+        assert_eq!(numbers(&[1, 2, 3, 4], 1, 3), [(1, 2), (2, 3), (3, 4)]);
+        // A gap, and numbers with steps.
+        assert_eq!(numbers(&[10, 20, 40, 50], 40, 2), [(-2, 20), (1, 50)]);
+        assert_eq!(numbers(&[7], 7, 3), []);
+        assert_eq!(numbers(&[i64::MIN, i64::MAX, 0], 0, 3), [(1, i64::MAX)]);
+        let alone = NumberedFrames::of_files(&files(&["drop.ply"]));
+        assert_eq!(alone.frames_around(None, 2).len(), 0);
+    }
+
+    #[test]
+    fn subframes_are_next_to_no_other_frame() {
+        let names = ["f.0001.ply", "f.0002.25.ply", "f.0002.5.ply", "f.0003.ply", "f.0004.ply"];
+        let numbered = NumberedFrames::of_files(&files(&names));
+        let steps = |number| -> Vec<i32> {
+            numbered.around(Some(number), 1).iter().map(|(steps, ..)| *steps).collect()
+        };
+        assert_eq!((steps(1), steps(2), steps(3)), (vec![], vec![], vec![1]));
+    }
+
+    #[test]
+    fn frames_that_come_and_go_change_how_far_apart_frames_are() {
+        let mut numbered = NumberedFrames::default();
+        let inserted = [4, 8, 6, 7].map(|number| numbered.insert(number, number));
+        assert_eq!(inserted, [false, true, true, true]);
+        let steps = |numbered: &NumberedFrames<i64>| -> Vec<i32> {
+            numbered.around(Some(6), 2).iter().map(|(steps, ..)| *steps).collect()
+        };
+        assert_eq!(steps(&numbered), [-2, 1, 2]);
+        assert!(!numbered.remove(7, &99) && numbered.remove(7, &7));
+        assert_eq!(steps(&numbered), [-1, 1]);
+        assert!(!numbered.remove(4, &4));
+    }
+}

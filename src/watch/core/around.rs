@@ -1,0 +1,216 @@
+//! Frames that are averaged with those around them (`--temporal`): when each may start, and when it is converted
+//! again.
+//!
+//! ```text
+//!   held ──▶ waits until the frames around it are complete, or for --temporal-wait ──▶ queued
+//!   done ──▶ a frame around it came, or was converted from another content ──▶ held
+//! ```
+//!
+//! A frame that came while its conversion was in progress is compared with the record afterwards. A frame is
+//! converted again once for each state of the frames around it, so two that disagree about a third one do not take
+//! turns forever.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use crate::pipeline::{AroundFrame, DoneRecord, Job, Reason, RecordedAround, UnfinishedState};
+use crate::surface::options::Settings;
+
+use super::frames::{FrameId, FramePhase, FrameState};
+use super::sequences::SequenceSettings;
+use super::state::Core;
+
+impl Core {
+    /// Whether the frames of a root are averaged with others.
+    pub(super) fn averages(&self, root: usize) -> bool {
+        let watch = self.watch(root);
+        watch.job() == Job::Surface && watch.choices.temporal.unwrap_or(0) > 0
+    }
+
+    /// The number of a frame, if it has one.
+    fn number_of(&self, id: &FrameId) -> Option<i64> {
+        id.frame_file(self.root_path(id.root)).number()
+    }
+
+    /// A frame was found.
+    pub(super) fn number_frame(&mut self, id: &FrameId, sequence: usize) {
+        if let Some(number) = self.number_of(id).filter(|_| self.averages(id.root))
+            && self.sequences.get_mut(sequence).numbered.insert(number, id.clone())
+        {
+            self.doubt_all(sequence);
+        }
+    }
+
+    /// A frame is gone.
+    pub(super) fn unnumber_frame(&mut self, id: &FrameId, sequence: usize) {
+        if let Some(number) = self.number_of(id).filter(|_| self.averages(id.root))
+            && self.sequences.get_mut(sequence).numbered.remove(number, id)
+        {
+            self.doubt_all(sequence);
+        }
+    }
+
+    /// Other frames than before are around the frames of a sequence.
+    fn doubt_all(&mut self, sequence: usize) {
+        let done = |frame: &FrameState| frame.sequence == sequence && frame.phase == FramePhase::Done;
+        self.doubtful_around.extend(self.frames.ids_of(|_, frame| done(frame)));
+    }
+
+    /// The known frames up to `reach` steps before and after a frame, with the number of steps and their numbers.
+    fn known_around(&self, id: &FrameId, reach: u32) -> Vec<(i32, i64, FrameId)> {
+        let Some(frame) = self.frames.get(id).filter(|_| reach > 0) else { return Vec::new() };
+        let around = self.sequences.get(frame.sequence).numbered.around(self.number_of(id), reach);
+        let around = around.into_iter().map(|(steps, number, id)| (steps, number, id.clone()));
+        around.filter(|(.., id)| self.may_be_particles(id)).collect()
+    }
+
+    /// Whether a file is a frame, as far as is known.
+    fn may_be_particles(&self, id: &FrameId) -> bool {
+        !matches!(self.frames.phase(id), None | Some(FramePhase::Ignored | FramePhase::Steps))
+    }
+
+    /// The complete frames that a frame is averaged with.
+    pub(super) fn frames_around(&self, id: &FrameId, settings: &Settings) -> Arc<[AroundFrame]> {
+        let around = self.known_around(id, settings.temporal).into_iter();
+        let complete = around.filter(|(.., id)| self.is_complete(id));
+        complete
+            .map(|(steps, number, id)| AroundFrame { steps, path: id.path.to_path_buf(), number })
+            .collect()
+    }
+
+    fn is_complete(&self, id: &FrameId) -> bool {
+        let phase = self.frames.phase(id);
+        !matches!(phase, None | Some(FramePhase::Settling(_) | FramePhase::FindingSteps))
+    }
+
+    /// Whether a held frame waits for others that it is averaged with. With `once`, it waits for files that exist,
+    /// and otherwise also for frames after it that may still come.
+    pub(super) fn awaits_frames_around(&mut self, id: &FrameId, settings: &Settings) -> bool {
+        let waits = settings.temporal > 0 && self.has_to_wait(id, settings.temporal);
+        let (now, wait) = (self.now.at, self.config.temporal_wait);
+        let Some(frame) = self.frames.get_mut(id).filter(|_| waits) else {
+            self.waiting_around.remove(id);
+            return false;
+        };
+        let is_new = frame.waits_since.is_none();
+        let due = *frame.waits_since.get_or_insert(now) + wait;
+        if due <= now {
+            self.waiting_around.remove(id);
+            return false;
+        }
+        self.frames.set_alarm(id, due);
+        self.waiting_around.insert(id.clone());
+        if is_new {
+            self.record_state(id, UnfinishedState::Waiting, Some(Reason::FramesAround), None);
+        }
+        true
+    }
+
+    fn has_to_wait(&self, id: &FrameId, reach: u32) -> bool {
+        if self.config.once && !self.was_scanned(id.root) {
+            return true;
+        }
+        let around = self.known_around(id, reach);
+        let is_coming = |id: &FrameId| {
+            let is_stuck = self.frames.get(id).is_some_and(FrameState::is_stuck);
+            !self.is_complete(id) && !is_stuck
+        };
+        if around.iter().any(|(.., id)| is_coming(id)) {
+            return true;
+        }
+        let after_count = around.iter().filter(|(steps, ..)| *steps > 0).count();
+        !self.config.once && self.number_of(id).is_some() && after_count < reach as usize
+    }
+
+    /// Whether all that a root has is known, or cannot be known because it hangs.
+    fn was_scanned(&self, root: usize) -> bool {
+        self.roots[root].was_scanned || self.roots[root].has_stalled
+    }
+
+    /// A frame is complete or was converted: those around it may have to be converted again.
+    pub(super) fn doubt_frames_around(&mut self, id: &FrameId) {
+        if let Some(reach) = self.reach_of(id) {
+            let around = self.known_around(id, reach).into_iter().map(|(.., id)| id);
+            self.doubtful_around.extend(around);
+        }
+    }
+
+    /// With how many frames on each side a frame is averaged; `None` with none, and while its settings are unknown.
+    fn reach_of(&self, id: &FrameId) -> Option<u32> {
+        let sequence = self.frames.get(id).filter(|_| self.averages(id.root))?.sequence;
+        match &self.sequences.get(sequence).settings {
+            SequenceSettings::Fixed(settings, _) => Some(settings.temporal),
+            _ => None,
+        }
+    }
+
+    /// Releases held frames that need not wait any longer, and converts frames again whose surroundings have
+    /// changed.
+    pub(super) fn resolve_frames_around(&mut self) {
+        for id in std::mem::take(&mut self.waiting_around) {
+            if self.frames.phase(&id) == Some(FramePhase::Held) {
+                self.release(&id);
+            }
+        }
+        // Which frames are complete is known once all inspections have ended.
+        if self.frames.is_inspecting(None) {
+            return;
+        }
+        for id in std::mem::take(&mut self.doubtful_around) {
+            match self.frames.phase(&id) {
+                Some(FramePhase::Done) if self.was_scanned(id.root) => self.convert_if_changed_around(&id),
+                Some(FramePhase::Done | FramePhase::Queued | FramePhase::InProgress) => {
+                    self.doubtful_around.insert(id);
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Converts a done frame again if those around it are not those that it was averaged with. Frames that are gone
+    /// do not count.
+    fn convert_if_changed_around(&mut self, id: &FrameId) {
+        let Some(reach) = self.reach_of(id) else { return };
+        let done = |id: &FrameId| self.record_of(id).and_then(|record| record.done.as_ref());
+        let Some(recorded) = done(id).map(|record| record.around.clone()) else { return };
+        let complete = self.known_around(id, reach).into_iter().filter(|(.., id)| self.is_complete(id));
+        let current: Vec<RecordedAround> = complete
+            .map(|(steps, number, around)| {
+                let frame = AroundFrame { steps, path: around.path.to_path_buf(), number };
+                let known =
+                    |record: &Arc<DoneRecord>| frame.recorded(Some(record.input_hash), &record.obstacles);
+                let is_done = self.frames.phase(&around) == Some(FramePhase::Done);
+                done(&around).filter(|_| is_done).map_or_else(|| frame.recorded(None, ""), known)
+            })
+            .collect();
+        let place = |around: &RecordedAround| (around.steps, around.name.clone());
+        // The content of a frame that is not done is not known.
+        let is_missing = |around: &RecordedAround| match around.hash {
+            0 => !recorded.iter().any(|recorded| place(recorded) == place(around)),
+            _ => !recorded.contains(around),
+        };
+        let is_elsewhere = |recorded: &RecordedAround| {
+            !current.iter().any(|around| place(around) == place(recorded))
+                && self.exists_beside(id, &recorded.name)
+        };
+        let is_other = current.iter().any(is_missing) || recorded.iter().any(is_elsewhere);
+        let Some(frame) = self.frames.get_mut(id).filter(|_| is_other) else { return };
+        if frame.tried_around == current {
+            return;
+        }
+        (frame.tried_around, frame.reason) = (current, Some(Reason::FramesAroundChanged));
+        self.log_about(&*id.path, |frame| {
+            tracing::info!(%frame, "a frame around it has come or changed: converting it again");
+        });
+        self.set_phase(id, FramePhase::Held);
+        self.release(id);
+    }
+
+    /// Whether a complete frame of this name is in the folder of another one.
+    fn exists_beside(&self, id: &FrameId, name: &str) -> bool {
+        let folder: PathBuf = id.file_path().parent().map_or_else(PathBuf::new, PathBuf::from);
+        let path = folder.join(name);
+        let beside = if id.is_step() { FrameId::step(id.root, &path) } else { FrameId::new(id.root, &path) };
+        self.is_complete(&beside)
+    }
+}

@@ -1,0 +1,266 @@
+//! Averages the level set of a frame with those of the frames before and after it, along the motion of the
+//! particles.
+//!
+//! ```text
+//!   frame t − 1            frame t              frame t + 1
+//!     φ(x − u⁻)    ◀──────    x    ──────▶      φ(x + u⁺)       the particles carry a voxel x to both
+//!         ¼                   ½                     ¼           binomial weights
+//! ```
+//!
+//! What a surface does not share with its neighbours in time is mostly noise of the reconstruction. The
+//! particles carry the surface, so the noise can be averaged along their motion without moving the fluid:
+//!
+//! φ(x) += Σ w_k c_k(x) (φ_k(x + u_k(x)) − φ(x))
+//!
+//! Here u_k is the mean displacement of the particles around x to the frame k steps away, w_k the binomial
+//! weight, and c_k the confidence. The confidence falls to zero where particles appear or vanish, where the
+//! displacements of neighbouring particles scatter, and where the level sets disagree by about a spacing: there
+//! the topology changes, ids were used again, or velocities have another unit.
+//!
+//! The caller restores distances afterwards, and clamps φ to the bounds of the frame. So the guarantees are
+//! those of a frame alone.
+//!
+//! Invariants: a voxel depends on particles within two spacings, or four voxels more, of it, and on
+//! φ_k within two voxels of where they carry it. The result does not depend on the number of threads. Without
+//! other frames, nothing changes.
+
+mod moves;
+mod sample;
+
+use std::sync::Arc;
+
+use glam::{IVec3, Vec3};
+use rayon::prelude::*;
+
+use crate::attributes::{BandAttribute, Support, interpolate_to_band};
+use crate::cancel::checkpoint;
+use crate::grid::{LEAF_VOXELS, Leaf, voxel_in_leaf};
+use crate::level_set::NarrowBand;
+use crate::motion::{MovingParticles, TrackedParticles};
+use crate::parallel::Loops as _;
+use crate::particles::{Positions, Shapes};
+use crate::space::Lattice;
+use moves::{COMPONENTS, moves};
+use sample::Sampler;
+
+/// The most frames on each side that may be averaged.
+pub const FRAMES_MAX: u32 = 3;
+
+/// Radius of the mean displacement, in spacings.
+const RADII: f64 = 2.0;
+
+/// Voxels up to this far from the surface are averaged.
+const HALF_WIDTH: f32 = 4.0;
+
+/// The confidence falls smoothly from one to zero while its argument rises from the first to the second of
+/// these numbers. Standard deviation of the displacements around a voxel, in spacings.
+const SCATTER: [f32; 2] = [1.0, 2.0];
+
+/// Difference between the level sets, in spacings.
+const DISAGREEMENT: [f32; 2] = [1.0, 2.0];
+
+/// Share of the particles around a voxel, by weight, that cannot be followed.
+const LOST: [f32; 2] = [0.1, 0.5];
+
+/// A frame with which its neighbours in time are averaged: its own level set, and its particles as given.
+pub struct TimedFrame {
+    band: Arc<NarrowBand>,
+    particles: TrackedParticles,
+}
+
+impl TimedFrame {
+    /// A frame from its smoothed level set, and its particles; `spacing` is their distance, world units.
+    pub fn new(band: Arc<NarrowBand>, particles: MovingParticles, spacing: f64) -> TimedFrame {
+        TimedFrame { band, particles: TrackedParticles::new(particles, RADII * spacing) }
+    }
+
+    /// Memory used, in bytes: approximate for the particles, which are sorted and have ids or velocities.
+    pub fn size_bytes(&self) -> u64 {
+        const LEAF_BYTES: usize = size_of::<Leaf>() + 80;
+        const PARTICLE_BYTES: usize = 24 + 16 + 24;
+        let particle_count = self.particles.positions().len();
+        (self.band.phi.leaves.len() * LEAF_BYTES + particle_count * PARTICLE_BYTES) as u64
+    }
+}
+
+/// Another frame of the sequence.
+#[derive(Clone)]
+pub struct OtherFrame {
+    /// The frame.
+    pub frame: Arc<TimedFrame>,
+    /// By how many frames it is later; negative if it is earlier.
+    pub steps: i32,
+}
+
+/// What averaging needs besides the frames.
+#[derive(Clone, Copy, Debug)]
+pub struct TemporalConfig {
+    /// The number of frames on each side: 1 to [`FRAMES_MAX`].
+    pub frames: u32,
+    /// Seconds between two frames, for particles without ids; `None` if it is unknown.
+    pub seconds: Option<f64>,
+    /// The particle spacing, world units.
+    pub spacing: f64,
+    /// The lattice of the level sets.
+    pub lattice: Lattice,
+}
+
+/// What averaging did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[non_exhaustive]
+pub struct TemporalReport {
+    /// The number of other frames.
+    #[serde(rename = "frames")]
+    pub frame_count: usize,
+    /// The number of voxels near the surface.
+    #[serde(rename = "voxels")]
+    pub voxel_count: usize,
+    /// The mean share of the weights of the other frames that was confident, from 0 to 1.
+    pub confidence: f64,
+    /// Root mean square of the change of φ, in voxels.
+    #[serde(rename = "change_voxels")]
+    pub change: f64,
+}
+
+/// Averages the level set of `frame` with those of the others. Distances and bounds have to be restored
+/// afterwards.
+pub fn average(
+    band: &mut NarrowBand,
+    particles: &TimedFrame,
+    others: &[OtherFrame],
+    config: &TemporalConfig,
+) -> TemporalReport {
+    let spacing_voxels = (config.spacing / config.lattice.voxel_size) as f32;
+    let half_width = HALF_WIDTH.min(band.half_width - 1.0);
+    let carried: Vec<Carried> = others
+        .iter()
+        .filter_map(|other| {
+            let moves = moves(&particles.particles, other, config)?;
+            let support = Support {
+                radius_world: RADII * config.spacing,
+                radius_max_world: RADII * config.spacing,
+                margin_world: 0.0,
+                shapes: &Shapes::Uniform,
+            };
+            let positions = Positions::from(particles.particles.positions());
+            let (mut found, _) =
+                interpolate_to_band(positions, &[&moves], band, &config.lattice, half_width, support);
+            Some(Carried {
+                moves: found.pop()?,
+                band: &other.frame.band,
+                weight: binomial(config.frames, other.steps),
+            })
+        })
+        .collect();
+    if carried.is_empty() {
+        return TemporalReport::default();
+    }
+    let origins = band.topology.origins();
+    let leaves = band.phi.leaves.par_iter_mut().zip(origins).enumerate().halved();
+    let parts: Vec<Changes> = leaves
+        .map(|(index, (leaf, &origin))| {
+            checkpoint();
+            average_leaf(leaf, index, origin, &carried, half_width, spacing_voxels)
+        })
+        .collect();
+    let Changes { voxel_count, confidence, squares } =
+        parts.into_iter().fold(Changes::default(), Changes::and);
+    let count = voxel_count.max(1) as f64;
+    let weights: f64 = carried.iter().map(|carried| f64::from(carried.weight)).sum();
+    TemporalReport {
+        frame_count: carried.len(),
+        voxel_count,
+        confidence: confidence / (count * weights),
+        change: (squares / count).sqrt(),
+    }
+}
+
+/// The weight of a frame that is `steps` away, of those of the 2 N + 1 frames: ¼ ½ ¼ for N = 1.
+fn binomial(frames: u32, steps: i32) -> f32 {
+    let choose =
+        |n: u32, k: u32| (0..k).fold(1.0, |product, i| product * f64::from(n - i) / f64::from(i + 1));
+    let Some(below) = frames.checked_sub(steps.unsigned_abs()) else { return 0.0 };
+    (choose(2 * frames, below) / f64::from(1u32 << (2 * frames))) as f32
+}
+
+/// Another frame, and where the particles carry each voxel.
+struct Carried<'a> {
+    moves: BandAttribute,
+    band: &'a NarrowBand,
+    weight: f32,
+}
+
+/// Sums over voxels.
+#[derive(Clone, Copy, Default)]
+struct Changes {
+    voxel_count: usize,
+    confidence: f64,
+    squares: f64,
+}
+
+impl Changes {
+    fn and(self, other: Changes) -> Changes {
+        Changes {
+            voxel_count: self.voxel_count + other.voxel_count,
+            confidence: self.confidence + other.confidence,
+            squares: self.squares + other.squares,
+        }
+    }
+}
+
+fn average_leaf(
+    leaf: &mut Leaf,
+    index: usize,
+    origin: IVec3,
+    carried: &[Carried],
+    half_width: f32,
+    spacing_voxels: f32,
+) -> Changes {
+    let mut changes = Changes::default();
+    if leaf.values.iter().all(|phi| phi.abs() >= half_width) {
+        return changes;
+    }
+    let mut moves = [0.0; LEAF_VOXELS * COMPONENTS];
+    let mut changed = [0.0; LEAF_VOXELS];
+    for Carried { moves: of_band, band, weight } in carried {
+        of_band.fill(index, &mut moves);
+        let mut sampler = Sampler::new(band);
+        for (offset, &phi) in leaf.values.iter().enumerate() {
+            if phi.abs() >= half_width {
+                continue;
+            }
+            let [x, y, z, square, followed] =
+                std::array::from_fn(|component| moves[offset * COMPONENTS + component]);
+            let kept = falling(1.0 - followed, LOST);
+            if kept == 0.0 {
+                continue;
+            }
+            let step = Vec3::new(x, y, z) / followed;
+            let scatter = (square / followed - step.length_squared()).max(0.0).sqrt();
+            let kept = kept * falling(scatter / spacing_voxels, SCATTER);
+            if kept == 0.0 {
+                continue;
+            }
+            let Some(other) = sampler.sample(origin + voxel_in_leaf(offset), step) else { continue };
+            let difference = other - phi;
+            let confidence = weight * kept * falling(difference.abs() / spacing_voxels, DISAGREEMENT);
+            changed[offset] += confidence * difference;
+            changes.confidence += f64::from(confidence);
+        }
+    }
+    for (phi, changed) in leaf.values.iter_mut().zip(changed) {
+        changes.voxel_count += usize::from(phi.abs() < half_width);
+        changes.squares += f64::from(changed) * f64::from(changed);
+        *phi += changed;
+    }
+    changes
+}
+
+/// Falls from 1 to 0 while `value` rises from `from` to `to`, with zero slope at both ends.
+fn falling(value: f32, [from, to]: [f32; 2]) -> f32 {
+    let part = ((to - value) / (to - from)).clamp(0.0, 1.0);
+    part * part * (3.0 - 2.0 * part)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,260 @@
+//! Tests with motions that are known.
+
+use std::sync::Arc;
+
+use glam::{DQuat, DVec3};
+
+use super::*;
+use crate::mesh::PositionRounding;
+use crate::obstacle::Obstacles;
+use crate::options::{MethodOptions, Settings};
+use crate::particles::{OwnedPositions, ParticleCloud};
+use crate::reconstruction::{FrameSurface, ShapedSource, StagedFrame, shape_particles};
+
+const SPACING: f64 = 0.1;
+/// Seconds between two frames.
+const SECONDS: f64 = 0.04;
+
+/// A frame of particles with ids, velocities, or both.
+#[derive(Clone, Default)]
+struct Given {
+    points: Vec<DVec3>,
+    ids: Option<Vec<i64>>,
+    velocities: Option<Vec<DVec3>>,
+}
+
+impl Given {
+    fn moving(&self) -> MovingParticles {
+        let velocities = self.velocities.as_ref();
+        MovingParticles {
+            positions: OwnedPositions::F64(self.points.iter().map(DVec3::to_array).collect()),
+            ids: self.ids.clone(),
+            velocities: velocities
+                .map(|velocities| velocities.iter().map(|velocity| velocity.as_vec3().to_array()).collect()),
+        }
+    }
+}
+
+fn settings() -> Settings {
+    let options = MethodOptions {
+        spacing: Some(SPACING),
+        temporal: Some(1),
+        time_step: Some(SECONDS),
+        ..MethodOptions::default()
+    };
+    Settings::resolve(&options, None).expect("sound")
+}
+
+fn smoothed(given: &Given) -> (StagedFrame<ShapedSource<ParticleCloud>>, Arc<TimedFrame>) {
+    let settings = settings();
+    let (shaped, stats) = shape_particles(ParticleCloud::from(given.moving().positions), &settings);
+    let staged =
+        StagedFrame::rasterize(shaped, stats, Obstacles::default(), &settings, None).expect("in memory");
+    let staged = staged.smooth(&settings, &mut |_| {}).expect("in memory");
+    let band = Arc::new(staged.band().expect("in memory").clone());
+    let timed = TimedFrame::new(band, given.moving(), SPACING);
+    (staged, Arc::new(timed))
+}
+
+/// The surface of the middle frame, averaged with those of the others, which are one step before and after it.
+fn averaged(middle: &Given, others: [Option<&Given>; 2]) -> FrameSurface {
+    let (mut staged, timed) = smoothed(middle);
+    let others: Vec<OtherFrame> = [-1, 1]
+        .into_iter()
+        .zip(others)
+        .filter_map(|(steps, given)| Some(OtherFrame { frame: smoothed(given?).1, steps }))
+        .collect();
+    staged.average(&timed, &others, &settings());
+    let Ok((surface, _)) = staged.contour(&settings(), PositionRounding::Local) else { panic!("in memory") };
+    assert!(surface.report.certificate.holds(), "{:?}", surface.report.certificate);
+    surface
+}
+
+fn alone(given: &Given) -> FrameSurface {
+    averaged(given, [None, None])
+}
+
+/// A block of particles on a lattice, displaced at random by up to `jitter` spacings along each axis.
+fn block(edge: i32, jitter: f64, seed: u32) -> Vec<DVec3> {
+    let random = |index: u32| {
+        let mixed = (index ^ seed.wrapping_mul(0x85eb_ca6b)).wrapping_add(1).wrapping_mul(0x9e37_79b9);
+        let mixed = (mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d);
+        2.0 * f64::from((mixed ^ mixed >> 12) >> 8) / f64::from(1 << 24) - 1.0
+    };
+    let point = |index: i32| {
+        let at =
+            DVec3::new((index / edge / edge).into(), (index / edge % edge).into(), (index % edge).into());
+        let offset = DVec3::from_array([0, 1, 2].map(|axis| random(3 * index as u32 + axis)));
+        SPACING * (at + jitter * offset)
+    };
+    (0..edge.pow(3)).map(point).collect()
+}
+
+fn ids(count: usize) -> Option<Vec<i64>> {
+    Some((0..count as i64).collect())
+}
+
+/// Root mean square distance of the vertices on the upper side of a block from their mean plane, in spacings.
+fn roughness(surface: &FrameSurface, edge: i32) -> f64 {
+    let within = 2.0 * SPACING..f64::from(edge - 3) * SPACING;
+    let positions = surface.mesh.positions.iter().map(|position| surface.mesh.origin + position.as_dvec3());
+    let heights: Vec<f64> = positions
+        .filter(|at| within.contains(&at.x) && within.contains(&at.y) && at.z > within.end)
+        .map(|at| at.z / SPACING)
+        .collect();
+    let mean = heights.iter().sum::<f64>() / heights.len() as f64;
+    (heights.iter().map(|height| (height - mean).powi(2)).sum::<f64>() / heights.len() as f64).sqrt()
+}
+
+/// The jitter differs in each frame, like the noise of a reconstruction.
+#[test]
+fn noise_is_averaged_by_ids_and_by_velocities() {
+    let edge = 12;
+    let velocity = DVec3::new(1.3, -0.7, 0.4);
+    let frame = |step: i32, has_ids: bool| {
+        let offset = f64::from(step) * SECONDS * velocity;
+        let points: Vec<DVec3> =
+            block(edge, 0.2, (10 + step) as u32).into_iter().map(|point| point + offset).collect();
+        let count = points.len();
+        Given {
+            points,
+            ids: if has_ids { ids(count) } else { None },
+            velocities: Some(vec![velocity; count]),
+        }
+    };
+    for has_ids in [true, false] {
+        let [before, middle, after] = [-1, 0, 1].map(|step| frame(step, has_ids));
+        let surface = averaged(&middle, [Some(&before), Some(&after)]);
+        assert_eq!(surface.report.temporal.frame_count, 2);
+        assert!(surface.report.temporal.confidence > 0.95, "{:?}", surface.report.temporal);
+        let [without, with] = [alone(&middle), surface].map(|surface| roughness(&surface, edge));
+        // Weights of ¼ ½ ¼ multiply the deviation of independent noise by 0.61.
+        assert!(with < 0.75 * without, "{with} instead of {without}, ids: {has_ids}");
+    }
+}
+
+/// A ball that rotates and falls keeps its volume and its place.
+#[test]
+fn rigid_motion_changes_nothing() {
+    let rest: Vec<DVec3> = block(13, 0.0, 0).into_iter().map(|at| at - DVec3::splat(0.6)).collect();
+    let rest: Vec<DVec3> = rest.into_iter().filter(|at| at.length() < 0.55).collect();
+    let frame = |step: f64| {
+        let turn = DQuat::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 0.15 * step);
+        let fallen = DVec3::new(0.09 * step, 0.0, -0.03 * step * step);
+        Given {
+            points: rest.iter().map(|&at| turn * at + fallen).collect(),
+            ids: ids(rest.len()),
+            velocities: None,
+        }
+    };
+    let [before, middle, after] = [-1.0, 0.0, 1.0].map(frame);
+    let [without, with] = [alone(&middle), averaged(&middle, [Some(&before), Some(&after)])];
+    let radii = |surface: &FrameSurface| {
+        let radii = surface.mesh.positions.iter().map(|at| (surface.mesh.origin + at.as_dvec3()).length());
+        radii.fold([f64::INFINITY, 0.0f64], |[least, most], radius| [least.min(radius), most.max(radius)])
+    };
+    let volume = with.report.mesh.volume / without.report.mesh.volume;
+    assert!((volume - 1.0).abs() < 0.003, "{volume}");
+    let ([least, most], [least_with, most_with]) = (radii(&without), radii(&with));
+    assert!(least - 0.05 * SPACING < least_with && most_with < most + 0.05 * SPACING);
+}
+
+/// A sequence of one frame is the frame alone, to the bit.
+#[test]
+fn no_other_frames_change_nothing() {
+    let given = Given { points: block(6, 0.2, 1), ids: ids(216), velocities: None };
+    let without = Settings { temporal: 0, ..settings() };
+    let surface = crate::reconstruction::reconstruct_frame(&given.moving().positions, &without);
+    let found = alone(&given);
+    assert_eq!(found.report, surface.report);
+    assert!(found.mesh == surface.mesh && found.band.phi == surface.band.phi);
+    // Nor do frames whose particles have neither ids nor velocities.
+    let unknown = Given { points: given.points.clone(), ..Given::default() };
+    assert!(averaged(&unknown, [Some(&unknown), None]).mesh == surface.mesh);
+}
+
+/// A drop that exists in the middle frame only keeps its volume, and one that exists in the others only leaves
+/// no ghost.
+#[test]
+fn drops_that_appear_and_vanish_stay_what_they_are() {
+    let block = block(6, 0.0, 1);
+    let with_drops = |first: i64, drops: &[DVec3]| {
+        let points = [&block, drops].concat();
+        let of_drops = (0..).take(drops.len()).map(|drop| first + drop);
+        let ids = ids(block.len()).into_iter().flatten().chain(of_drops).collect();
+        Given { points, ids: Some(ids), velocities: None }
+    };
+    let (own, other) = (DVec3::new(-0.8, 0.2, 0.2), DVec3::new(0.2, 0.2, 1.3));
+    let pair = |at: DVec3| [at, at + DVec3::new(0.09, 0.0, 0.0)];
+    let middle = with_drops(1000, &pair(own));
+    let beside = with_drops(2000, &pair(other));
+    let [without, with] = [alone(&middle), averaged(&middle, [Some(&beside), Some(&beside)])];
+    assert_eq!(with.report.mesh.component_count, 2);
+    let drop_volume = |surface: &FrameSurface| {
+        let lattice = settings().voxel_size;
+        let voxels = surface.band.leaves().flat_map(|(origin, values)| {
+            values.iter().enumerate().map(move |(offset, phi)| (origin + voxel_in_leaf(offset), *phi))
+        });
+        voxels.filter(|(voxel, phi)| *phi < 0.0 && lattice * f64::from(voxel.x) < -0.4).count()
+    };
+    let [before, after] = [drop_volume(&without), drop_volume(&with)];
+    assert!(before > 50 && before.abs_diff(after) * 50 <= before, "{before}, then {after}");
+}
+
+/// Ids that were dealt anew, and velocities in another unit, do not spoil the surface.
+#[test]
+fn false_motions_are_not_followed() {
+    let points = block(10, 0.2, 1);
+    let count = points.len();
+    let middle = Given { points: points.clone(), ids: ids(count), velocities: None };
+    let shuffled = (0..count as i64).map(|id| id * 367 % count as i64).collect();
+    let dealt = Given { points: points.clone(), ids: Some(shuffled), velocities: None };
+    let found = averaged(&middle, [Some(&dealt), Some(&dealt)]).report;
+    assert!(found.temporal.confidence < 0.02, "{:?}", found.temporal);
+    let velocity = DVec3::new(0.9, 0.3, 0.0);
+    let moving = |offset: DVec3, factor: f64| Given {
+        points: points.iter().map(|at| *at + offset).collect(),
+        ids: None,
+        velocities: Some(vec![factor * velocity; count]),
+    };
+    let step = SECONDS * velocity;
+    for (factor, most) in [(100.0, 0.02), (-8.0, 0.6)] {
+        let [before, middle, after] = [-step, DVec3::ZERO, step].map(|offset| moving(offset, factor));
+        let alone = alone(&middle).report.mesh.volume;
+        let found = averaged(&middle, [Some(&before), Some(&after)]).report;
+        assert!(found.temporal.confidence < most, "{:?}", found.temporal);
+        assert!((found.mesh.volume / alone - 1.0).abs() < 0.02);
+    }
+}
+
+#[test]
+fn weights_are_binomial() {
+    assert_eq!([-1, 0, 1, 2].map(|steps| binomial(1, steps)), [0.25, 0.5, 0.25, 0.0]);
+    let all: f32 = (-3..=3).map(|steps| binomial(3, steps)).sum();
+    assert_eq!((all, binomial(3, 3), binomial(2, 1)), (1.0, 1.0 / 64.0, 0.25));
+}
+
+/// The spline passes through the voxels and reproduces quadratic functions.
+#[test]
+fn sampling_reproduces_quadratic_functions() {
+    use crate::grid::{Field, Topology};
+    let value = |at: Vec3| 0.3 * at.x * at.x - 0.2 * at.y * at.z + at.z - 1.0;
+    let origins = (0..27).map(|leaf| IVec3::new(leaf / 9, leaf / 3 % 3, leaf % 3) * 8).collect();
+    let topology = Topology::new(origins);
+    let leaf = |&origin: &IVec3| Leaf {
+        values: std::array::from_fn(|offset| value((origin + voxel_in_leaf(offset)).as_vec3())),
+    };
+    let phi = Field { leaves: topology.origins().iter().map(leaf).collect() };
+    let band = NarrowBand { topology: topology.into(), phi, half_width: 1000.0 };
+    let mut sampler = Sampler::new(&band);
+    for index in 0..200 {
+        let step = Vec3::new(0.37, 0.61, -0.83) * index as f32;
+        let voxel = IVec3::new(3, 2, 20)
+            - (step.floor().as_ivec3() - IVec3::new(index % 13, index % 11, -(index % 7)));
+        let expected = value(voxel.as_vec3() + step);
+        let found = sampler.sample(voxel, step).expect("stored");
+        assert!((found - expected).abs() < 1e-3, "{found} instead of {expected}");
+    }
+    assert_eq!(sampler.sample(IVec3::splat(-40), Vec3::ZERO), None);
+    assert_eq!(sampler.sample(IVec3::MAX, Vec3::splat(1e9)), None);
+}

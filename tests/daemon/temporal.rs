@@ -1,0 +1,137 @@
+//! Frames that are averaged with those around them: whatever the order in which they come, and however often the
+//! daemon is killed, the results end as those of `convert`.
+
+use std::fmt::Write as _;
+use std::thread;
+use std::time::Duration;
+
+use crate::daemon::scene::{Scene, await_that, by_length, contents};
+
+const OPTIONS: [&str; 6] = ["--format", "obj", "--spacing", "0.1", "--temporal", "1"];
+
+/// The frame of this number: a moving block of particles with ids, shaken differently in each frame.
+fn frame(number: usize) -> String {
+    let edge_count = 5;
+    let mut text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
+         property int id\nend_header\n",
+        edge_count * edge_count * edge_count
+    );
+    for id in 0..edge_count * edge_count * edge_count {
+        let at = [id % edge_count, id / edge_count % edge_count, id / edge_count / edge_count];
+        let shake = |axis: usize| 0.02 * ((7 * id + 31 * axis + 13 * number) as f64).sin();
+        let [x, y, z] = [0, 1, 2].map(|axis| 0.1 * at[axis] as f64 + shake(axis));
+        writeln!(text, "{} {y} {z} {id}", x + 0.03 * number as f64).expect("strings take everything");
+    }
+    text
+}
+
+fn put(scene: &Scene, number: usize) {
+    scene.put(&format!("in/dam.{number}.ply"), frame(number));
+}
+
+#[test]
+fn once_makes_what_convert_makes() {
+    let scene = Scene::new();
+    (1..=5).for_each(|number| put(&scene, number));
+    scene.once(&OPTIONS).assert_status(0);
+    scene.assert_as_converted(&OPTIONS);
+    let without: Vec<&str> = OPTIONS[..4].to_vec();
+    let averaged = contents(&scene.path("out"));
+    scene.run(&[&["convert", "in", "--out", "without"][..], &without].concat());
+    assert!(contents(&scene.path("without")) != averaged, "averages must change something");
+    // A frame that changes, and one that comes, concern those around them.
+    scene.put("in/dam.3.ply", frame(30));
+    put(&scene, 6);
+    let again = scene.once(&OPTIONS);
+    assert_eq!(again.converted(), ["dam.2.ply", "dam.3.ply", "dam.4.ply", "dam.5.ply", "dam.6.ply"]);
+    scene.assert_as_converted(&OPTIONS);
+}
+
+#[test]
+fn frame_waits_for_the_next_one_and_is_made_again_when_it_comes_late() {
+    let scene = Scene::new();
+    put(&scene, 1);
+    put(&scene, 2);
+    let patient = scene.watch(&[&OPTIONS[..], &["--temporal-wait", "1h"]].concat());
+    patient.await_converted("dam.1.ply");
+    assert_eq!(patient.converted_count("dam.2.ply"), 0);
+    put(&scene, 3);
+    patient.await_converted("dam.2.ply");
+    patient.finish();
+    let hasty = scene.watch(&[&OPTIONS[..], &["--temporal-wait", "50ms"]].concat());
+    hasty.await_converted("dam.3.ply");
+    scene.assert_as_converted(&OPTIONS);
+    for number in [5, 4] {
+        put(&scene, number);
+        hasty.await_converted(&format!("dam.{number}.ply"));
+    }
+    scene.run(&[&["convert", "in", "--out", "wanted"][..], &OPTIONS].concat());
+    let wanted = contents(&scene.path("wanted"));
+    await_that("the results are those of convert", || contents(&scene.path("out")) == wanted);
+    hasty.assert_no_complaints();
+    hasty.finish();
+    scene.assert_as_converted(&OPTIONS);
+    scene.assert_no_temporaries();
+}
+
+#[test]
+fn killed_daemon_ends_with_what_convert_makes() {
+    let (frame_count, kill_count) = by_length((12, 8), (60, 60));
+    let scene = Scene::new();
+    let options = [&OPTIONS[..], &["--settle", "20ms", "--temporal-wait", "30ms"]].concat();
+    for kill in 0..kill_count {
+        for number in kill * frame_count / kill_count..(kill + 1) * frame_count / kill_count {
+            put(&scene, number + 1);
+        }
+        let daemon = scene.start(&options);
+        thread::sleep(Duration::from_millis(40 + (kill as u64 * 37) % 160));
+        daemon.kill();
+    }
+    scene.once(&options).assert_status(0);
+    scene.assert_as_converted(&OPTIONS);
+}
+
+/// With two frames on each side, frames beside one that cannot be converted are not converted again and again.
+#[test]
+fn frames_beside_broken_ones_end() {
+    let options = ["--format", "obj", "--spacing", "0.1", "--temporal", "2"];
+    let scene = Scene::new();
+    (1..=6).for_each(|number| put(&scene, number));
+    scene.put("in/dam.4.ply", "ply\nformat nonsense 1.0\n");
+    let once = scene.once(&options);
+    once.assert_status(1);
+    assert_eq!(once.converted_in_order().len(), 5);
+    scene.assert_as_converted(&options);
+    // The frame is mended.
+    put(&scene, 4);
+    scene.once(&options).assert_status(0);
+    scene.assert_as_converted(&options);
+    // Frames that become closer together are averaged with others.
+    scene.put("in/dam.100.ply", frame(100));
+    scene.put("in/dam.102.ply", frame(102));
+    scene.once(&options).assert_status(0);
+    scene.assert_as_converted(&options);
+}
+
+/// An obstacle that moves, and is missing for one frame.
+#[test]
+fn missing_obstacle_of_a_frame_concerns_only_this_frame() {
+    let options = [&OPTIONS[..], &["--obstacle", "body.{}.obj"]].concat();
+    let scene = Scene::new();
+    let body = |at: f64| {
+        let far = at + 0.2;
+        format!("v {at} 0 0\nv {far} 0 0\nv {at} 0.2 0\nv {at} 0 0.2\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    };
+    for number in 1..=5 {
+        put(&scene, number);
+        if number != 3 {
+            scene.write(&format!("body.{number}.obj"), body(0.1 * number as f64));
+        }
+    }
+    scene.once(&options).assert_status(1);
+    scene.assert_as_converted(&options);
+    scene.write("body.3.obj", body(0.3));
+    scene.once(&options).assert_status(0);
+    scene.assert_as_converted(&options);
+}

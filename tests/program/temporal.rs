@@ -1,0 +1,153 @@
+//! Surfaces that are averaged over time: the same bytes however the frames are divided, and records that know the
+//! frames around.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+
+use tempfile::tempdir;
+
+use crate::program::scene::{RunResult, assert_refused, meniscus, names_in};
+
+/// Writes the frame of this number: a moving block of particles, shaken differently in each frame, with these
+/// attributes beside the positions.
+fn write_frame(folder: &Path, number: usize, attributes: &str) {
+    let edge_count = 5;
+    let properties: String = attributes
+        .split_whitespace()
+        .map(|name| format!("property {} {name}\n", if name == "id" { "int" } else { "float" }))
+        .collect();
+    let mut text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
+         {properties}end_header\n",
+        edge_count * edge_count * edge_count
+    );
+    for id in 0..edge_count * edge_count * edge_count {
+        let at = [id % edge_count, id / edge_count % edge_count, id / edge_count / edge_count];
+        let shake = |axis: usize| 0.02 * ((7 * id + 31 * axis + 13 * number) as f64).sin();
+        let [x, y, z] = [0, 1, 2].map(|axis| 0.1 * at[axis] as f64 + shake(axis));
+        write!(text, "{} {y} {z}", x + 0.03 * number as f64).expect("strings take everything");
+        for name in attributes.split_whitespace() {
+            let value = match name {
+                "id" => id.to_string(),
+                "vx" => "0.75".to_owned(),
+                _ => "0".to_owned(),
+            };
+            write!(text, " {value}").expect("strings take everything");
+        }
+        text.push('\n');
+    }
+    fs::write(folder.join(format!("dam.{number}.ply")), text).expect("written");
+}
+
+fn prepared(attributes: &str) -> tempfile::TempDir {
+    let folder = tempdir().expect("a folder");
+    for name in ["in", "out"] {
+        fs::create_dir(folder.path().join(name)).expect("made");
+    }
+    for number in 1..=6 {
+        write_frame(&folder.path().join("in"), number, attributes);
+    }
+    folder
+}
+
+const OPTIONS: [&str; 4] = ["--format", "obj,vdb", "--spacing", "0.1"];
+
+fn convert(folder: &Path, out: &str, more: &[&str]) -> RunResult {
+    convert_with(folder, out, &[&["--temporal", "2"][..], more].concat())
+}
+
+fn convert_with(folder: &Path, out: &str, more: &[&str]) -> RunResult {
+    let result = meniscus(folder, &[&["convert", "in", "--out", out][..], &OPTIONS, more].concat());
+    assert_eq!(result.status, 0, "{}{}", result.out, result.err);
+    result
+}
+
+fn contents(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    let names = names_in(folder).into_iter();
+    names.map(|name| (name.clone(), fs::read(folder.join(&name)).expect("readable"))).collect()
+}
+
+#[test]
+fn averages_are_the_same_bytes_however_the_frames_are_divided() {
+    let folder = prepared("id");
+    let folder = folder.path();
+    convert(folder, "one", &["--threads", "1"]);
+    let one = contents(&folder.join("one"));
+    convert(folder, "four", &["--threads", "4"]);
+    assert!(contents(&folder.join("four")) == one);
+    for shard in ["2/3", "1/3", "3/3"] {
+        convert(folder, "out", &["--shard", shard]);
+    }
+    assert!(contents(&folder.join("out")) == one);
+    convert(folder, "some", &["--frames", "3"]);
+    for (name, bytes) in contents(&folder.join("some")) {
+        assert!(one.contains(&(name, bytes)));
+    }
+    // The option changes the surface, and the report tells by how much.
+    convert_with(folder, "without", &["--report", "without.json"]);
+    assert!(contents(&folder.join("without")).iter().zip(&one).all(|(without, with)| without.1 != with.1));
+    convert(folder, "reported", &["--report", "with.json"]);
+    let report = |name: &str| -> serde_json::Value {
+        serde_json::from_slice(&fs::read(folder.join(name)).expect("a report")).expect("JSON")
+    };
+    assert!(report("without.json")["frames"][2]["temporal"].is_null());
+    let temporal = &report("with.json")["frames"][2]["temporal"];
+    assert_eq!(temporal["frames"], 4, "{temporal}");
+    assert!(temporal["confidence"].as_f64().is_some_and(|share| share > 0.9), "{temporal}");
+}
+
+#[test]
+fn changed_frames_concern_those_around_them() {
+    let folder = prepared("id");
+    let folder = folder.path();
+    convert(folder, "out", &[]);
+    let verify = || meniscus(folder, &["verify", "out", "--input", "in"]);
+    assert_eq!(verify().status, 0, "{}", verify().err);
+    // Frame 1 changes, so frames 1 to 3 are averaged with something else.
+    fs::copy(folder.join("in/dam.6.ply"), folder.join("in/dam.1.ply")).expect("copied");
+    let found = verify();
+    assert!(found.out.contains("3 done, 3 stale"), "{}{}", found.out, found.err);
+    assert!(found.err.contains("dam.3: stale: the frames before or after it have changed"), "{}", found.err);
+    let again = convert(folder, "out", &["--skip-done"]);
+    assert_eq!(again.out.matches("done already").count(), 3, "{}", again.out);
+    convert(folder, "fresh", &[]);
+    assert!(contents(&folder.join("out")) == contents(&folder.join("fresh")));
+    // A frame that is gone leaves a gap, and one that cannot be read a warning.
+    fs::remove_file(folder.join("in/dam.4.ply")).expect("removed");
+    fs::write(folder.join("in/dam.6.ply"), "ply\nformat nonsense 1.0\n").expect("written");
+    let broken =
+        meniscus(folder, &[&["convert", "in", "--out", "broken", "--temporal", "2"][..], &OPTIONS].concat());
+    assert_eq!(broken.status, 1);
+    assert!(broken.err.contains("not averaged with one of the frames around it"), "{}", broken.err);
+    let names = names_in(&folder.join("broken"));
+    assert_eq!(names.iter().filter(|name| name.ends_with(".obj")).count(), 4, "{names:?}");
+}
+
+#[test]
+fn particles_are_followed_by_velocities_or_the_frame_stays_as_it_is() {
+    let folder = prepared("vx vy vz");
+    let folder = folder.path();
+    let not_followed = convert(folder, "out", &[]);
+    for words in ["the surface is not averaged with the frames around it", "--time-step"] {
+        assert!(not_followed.err.contains(words), "{}", not_followed.err);
+    }
+    let followed = convert(folder, "followed", &["--time-step", "0.04", "--report", "report.json"]);
+    assert!(!followed.err.contains("not averaged"), "{}", followed.err);
+    let report = fs::read_to_string(folder.join("report.json")).expect("a report");
+    let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
+    let confidence = report["frames"][2]["temporal"]["confidence"].as_f64();
+    assert!(confidence.is_some_and(|share| share > 0.9), "{confidence:?}");
+}
+
+#[test]
+fn option_is_refused_where_there_is_only_one_frame() {
+    let folder = prepared("id");
+    let folder = folder.path();
+    let why = "this is a single frame";
+    assert_refused(folder, &["tune", "in/dam.1.ply", "-o", "tune.png", "--temporal", "1"], &[why]);
+    assert_refused(folder, &["render", "in/dam.1.ply", "-o", "dam.png", "--temporal", "1"], &[why]);
+    assert_refused(folder, &["convert", "in", "--out", "out", "--temporal", "4"], &["from 0 to 3"]);
+    let idle = meniscus(folder, &["convert", "in", "--out", "out", "--time-step", "0.1"]);
+    assert!(idle.err.contains("--time-step") && idle.err.contains("--temporal"), "{}", idle.err);
+}
