@@ -140,7 +140,8 @@ fn preset_warning(
     match irregularity {
         Some(irregularity) if !options.is_auto() && suitable != Preset::default() => {
             let warning = Warning::Input(InputWarning::Irregular { irregularity, suitable });
-            Some(format!("{warning}; use `preset=\"{suitable}\"`, or \"granular\" for sand"))
+            let fluid = "or give `preset=\"fluid\"` if splashes matter more";
+            Some(format!("{warning}; use `preset=\"{suitable}\"`, {fluid}"))
         }
         None if options.is_auto() => {
             Some(Warning::Input(InputWarning::PresetNotMeasured { used: suitable }).to_string())
