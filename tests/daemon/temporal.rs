@@ -1,29 +1,16 @@
 //! Frames that are averaged with those around them: whatever the order in which they come, and however often the
 //! daemon is killed, the results end as those of `convert`.
 
-use std::fmt::Write as _;
 use std::thread;
 use std::time::Duration;
 
 use crate::daemon::scene::{Scene, await_that, by_length, contents};
+use crate::program::scene::shaken_frame;
 
 const OPTIONS: [&str; 6] = ["--format", "obj", "--spacing", "0.1", "--temporal", "1"];
 
-/// The frame of this number: a moving block of particles with ids, shaken differently in each frame.
 fn frame(number: usize) -> String {
-    let edge_count = 5;
-    let mut text = format!(
-        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
-         property int id\nend_header\n",
-        edge_count * edge_count * edge_count
-    );
-    for id in 0..edge_count * edge_count * edge_count {
-        let at = [id % edge_count, id / edge_count % edge_count, id / edge_count / edge_count];
-        let shake = |axis: usize| 0.02 * ((7 * id + 31 * axis + 13 * number) as f64).sin();
-        let [x, y, z] = [0, 1, 2].map(|axis| 0.1 * at[axis] as f64 + shake(axis));
-        writeln!(text, "{} {y} {z} {id}", x + 0.03 * number as f64).expect("strings take everything");
-    }
-    text
+    shaken_frame(number, "id")
 }
 
 fn put(scene: &Scene, number: usize) {

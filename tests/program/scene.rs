@@ -41,6 +41,36 @@ pub(crate) fn write_ply(path: &Path, particles: &[[f64; 3]]) {
     fs::write(path, text).expect("the frame is written");
 }
 
+/// The frame of this number as PLY: a moving block of particles, shaken differently in each frame, with these
+/// attributes beside the positions: `id`, or components of the velocity.
+pub(crate) fn shaken_frame(number: usize, attributes: &str) -> String {
+    const EDGE_COUNT: usize = 5;
+    let mut text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n",
+        EDGE_COUNT.pow(3)
+    );
+    for name in attributes.split_whitespace() {
+        let kind = if name == "id" { "int" } else { "float" };
+        writeln!(text, "property {kind} {name}").expect("strings take everything");
+    }
+    text += "end_header\n";
+    for (id, at) in block(EDGE_COUNT, 0.03 * number as f64).into_iter().enumerate() {
+        let shake = |axis: usize| 0.02 * ((7 * id + 31 * axis + 13 * number) as f64).sin();
+        let [x, y, z] = [0, 1, 2].map(|axis| at[axis] + shake(axis));
+        write!(text, "{x} {y} {z}").expect("strings take everything");
+        for name in attributes.split_whitespace() {
+            let value = match name {
+                "id" => id.to_string(),
+                "vx" => "0.75".to_owned(),
+                _ => "0".to_owned(),
+            };
+            write!(text, " {value}").expect("strings take everything");
+        }
+        text.push('\n');
+    }
+    text
+}
+
 /// Writes frames `first..=last` of a moving block as `dam.N.ply`.
 pub(crate) fn write_sequence(folder: &Path, first: usize, last: usize) {
     for number in first..=last {

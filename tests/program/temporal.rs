@@ -1,43 +1,15 @@
 //! Surfaces that are averaged over time: the same bytes however the frames are divided, and records that know the
 //! frames around.
 
-use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
 use tempfile::tempdir;
 
-use crate::program::scene::{RunResult, assert_refused, meniscus, names_in};
+use crate::program::scene::{RunResult, assert_refused, meniscus, names_in, shaken_frame};
 
-/// Writes the frame of this number: a moving block of particles, shaken differently in each frame, with these
-/// attributes beside the positions.
 fn write_frame(folder: &Path, number: usize, attributes: &str) {
-    let edge_count = 5;
-    let properties: String = attributes
-        .split_whitespace()
-        .map(|name| format!("property {} {name}\n", if name == "id" { "int" } else { "float" }))
-        .collect();
-    let mut text = format!(
-        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
-         {properties}end_header\n",
-        edge_count * edge_count * edge_count
-    );
-    for id in 0..edge_count * edge_count * edge_count {
-        let at = [id % edge_count, id / edge_count % edge_count, id / edge_count / edge_count];
-        let shake = |axis: usize| 0.02 * ((7 * id + 31 * axis + 13 * number) as f64).sin();
-        let [x, y, z] = [0, 1, 2].map(|axis| 0.1 * at[axis] as f64 + shake(axis));
-        write!(text, "{} {y} {z}", x + 0.03 * number as f64).expect("strings take everything");
-        for name in attributes.split_whitespace() {
-            let value = match name {
-                "id" => id.to_string(),
-                "vx" => "0.75".to_owned(),
-                _ => "0".to_owned(),
-            };
-            write!(text, " {value}").expect("strings take everything");
-        }
-        text.push('\n');
-    }
-    fs::write(folder.join(format!("dam.{number}.ply")), text).expect("written");
+    fs::write(folder.join(format!("dam.{number}.ply")), shaken_frame(number, attributes)).expect("written");
 }
 
 fn prepared(attributes: &str) -> tempfile::TempDir {
