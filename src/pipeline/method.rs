@@ -11,6 +11,7 @@ use crate::surface::reconstruction::{
     self, FrameSurface, MemoryPlan, MemoryPlanError, PlanInputs, ShapedSource, StageError, StagedFrame,
     Storage, Targets, TileStorage, TooLarge,
 };
+use crate::surface::report::ShapeStats;
 
 use crate::pipeline::error::{Cause, ObstacleError};
 use crate::pipeline::files::input_file::InputFile;
@@ -21,8 +22,7 @@ use crate::pipeline::output::writing::attribute_half_width_voxels;
 use crate::pipeline::target::outputs::OutputOptions;
 
 /// The particles of a frame as others of its sequence follow them.
-pub(crate) fn moving_particles(input: &FrameInput) -> Option<MovingParticles> {
-    let FrameInput::InMemory(cloud) = input else { return None };
+pub(crate) fn moving_particles(cloud: &ParticleCloud) -> MovingParticles {
     let attributes = &cloud.attributes;
     let ids = attributes.iter().find_map(|attribute| match &attribute.values {
         AttributeValues::Integers(ids) if attribute.role == Role::Id && attribute.arity == 1 => {
@@ -33,7 +33,7 @@ pub(crate) fn moving_particles(input: &FrameInput) -> Option<MovingParticles> {
     let velocities =
         find_attribute(attributes, "velocity", 3).and_then(|attribute| attribute.values.numbers());
     let velocities = velocities.map(|numbers| numbers.as_chunks::<3>().0.to_vec());
-    Some(MovingParticles { positions: cloud.positions.clone(), ids, velocities })
+    MovingParticles { positions: cloud.positions.clone(), ids, velocities }
 }
 
 /// A frame between two stages.
@@ -112,7 +112,7 @@ pub(crate) fn rasterize(
         return Ok(StagedFrame::of_level_set(band, origin, max_deviation_voxels, settings));
     }
     let file = particles.file();
-    let (particles, shape_stats) = particles.shaped(settings)?;
+    let (particles, shape_stats) = shaped(particles, settings)?;
     let tiles = plan.tile_leaves.map(|leaves| TileStorage::new(leaves, || ScratchFile::storage(scratch)));
     let tiles = tiles.transpose().map_err(Cause::Scratch)?;
     let frame = StagedFrame::rasterize(particles, shape_stats, obstacles.obstacles, settings, tiles)?;
@@ -120,6 +120,34 @@ pub(crate) fn rasterize(
     // so a change is detected now.
     require_unchanged(file.as_deref())?;
     Ok(frame)
+}
+
+/// The particles, moved and shaped as the settings require.
+fn shaped(
+    particles: FrameInput,
+    settings: &Settings,
+) -> Result<(ShapedSource<FrameInput>, ShapeStats), Cause> {
+    let (particles, shape_stats) = match particles {
+        FrameInput::InMemory(cloud) => {
+            let (cloud, shape_stats) = reconstruction::shape_by_attributes(cloud, settings);
+            (FrameInput::InMemory(cloud), shape_stats)
+        }
+        // A file is read in batches only if the settings need no attributes.
+        FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => (particles, ShapeStats::default()),
+    };
+    reconstruction::shape_by_neighbors(particles, shape_stats, settings)
+}
+
+/// The second stage: smooths the level set. `advanced` receives the finished fraction.
+///
+/// # Errors
+/// When the disk has no room for scratch files.
+pub(crate) fn smooth(
+    frame: StagedInput,
+    settings: &Settings,
+    advanced: &mut dyn FnMut(f64),
+) -> Result<StagedInput, Cause> {
+    frame.smooth(settings, advanced).map_err(Cause::Scratch)
 }
 
 /// The third stage: computes the mesh, and the attributes that the outputs need.

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use twox_hash::XxHash3_128;
 
+use crate::surface::flicker::MovingParticles;
 use crate::surface::options::Settings;
 use crate::surface::particles::{OwnedPositions, ParticleCloud};
 use crate::surface::reconstruction::FrameSurface;
@@ -14,14 +15,14 @@ use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame_input::FrameInput;
 use crate::pipeline::input::obstacles::ObstacleFiles;
 use crate::pipeline::input::reading::{ParsedParticles, parse_particles, read_file};
-use crate::pipeline::method;
+use crate::pipeline::method::{self, StagedInput};
 use crate::pipeline::output::writing::surface_warnings;
 use crate::pipeline::records::frame_warnings::left_out;
 use crate::pipeline::target::outputs::OutputOptions;
 use crate::pipeline::warning::Warning;
 
 /// A frame that was read, and can be reconstructed any number of times.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct LoadedFrame {
     path: PathBuf,
     number: Option<i64>,
@@ -43,6 +44,16 @@ pub struct Reconstruction {
     pub warnings: Vec<Warning>,
 }
 
+/// A frame that has its smoothed level set.
+pub(crate) struct SmoothedFrame {
+    pub(crate) frame: StagedInput,
+    /// When computing began.
+    start: Instant,
+    /// The names and hashes of its obstacle files; empty without obstacles.
+    pub(crate) obstacles: String,
+    warnings: Vec<Warning>,
+}
+
 impl LoadedFrame {
     /// Reads the frame at `path`, with the attributes that the settings require. `number` is its frame
     /// number.
@@ -53,17 +64,33 @@ impl LoadedFrame {
         stage(path, Stage::Read, || {
             settings.require_single_frame().map_err(Cause::Settings)?;
             let bytes = read_file(path).map_err(|error| error.cause)?;
-            let hash = XxHash3_128::oneshot(&bytes);
-            let read = parse_particles(path, &bytes, &AttributeRequest::for_settings(settings))
-                .map_err(|error| error.cause)?;
-            let ParsedParticles { cloud, warnings, .. } = read;
-            Ok(LoadedFrame { path: path.to_owned(), number, cloud, hash, warnings })
+            LoadedFrame::of_bytes(path, number, &bytes, settings).map_err(|error| error.cause)
         })
+    }
+
+    /// Parses the frame at `path` from its bytes.
+    ///
+    /// # Errors
+    /// When they have no readable particles.
+    pub(crate) fn of_bytes(
+        path: &Path,
+        number: Option<i64>,
+        bytes: &[u8],
+        settings: &Settings,
+    ) -> Result<LoadedFrame, FrameError> {
+        let read = parse_particles(path, bytes, &AttributeRequest::for_settings(settings))?;
+        let ParsedParticles { cloud, warnings, .. } = read;
+        Ok(LoadedFrame { path: path.to_owned(), number, cloud, hash: XxHash3_128::oneshot(bytes), warnings })
     }
 
     /// The path of its file.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Its particles as other frames follow them.
+    pub(crate) fn moving_particles(&self) -> MovingParticles {
+        method::moving_particles(&self.cloud)
     }
 
     /// Its particles, unmodified.
@@ -90,27 +117,40 @@ impl LoadedFrame {
         memory_bytes: u64,
     ) -> Result<Reconstruction, FrameError> {
         let path = &*self.path;
-        let mut loaded = stage(path, Stage::Read, || {
-            let of_obstacle = |error| Cause::Obstacle(Box::new(error));
-            let found = obstacles.find(self.number).map_err(of_obstacle)?;
-            obstacles.load(found, settings, memory_bytes).map_err(of_obstacle)
-        })?;
-        let mut warnings = self.warnings.clone();
-        warnings.append(&mut loaded.warnings);
-        let obstacles = loaded.recorded.clone();
-        let given = FrameInput::InMemory(self.cloud.clone());
-        let plan =
-            stage(path, Stage::Read, || method::plan(&given, &loaded, settings, outputs, memory_bytes))?;
-        let start = Instant::now();
-        let rasterize = || method::rasterize(given, loaded, settings, &plan, &outputs.folder);
-        let frame = stage(path, Stage::Rasterize, rasterize)?;
-        let smooth = || frame.smooth(settings, &mut |_| {}).map_err(Cause::Scratch);
-        let frame = stage(path, Stage::Smooth, smooth)?;
+        let smoothed = self.clone().smooth(settings, obstacles, outputs, memory_bytes)?;
+        let SmoothedFrame { frame, start, obstacles, mut warnings } = smoothed;
         let surface = stage(path, Stage::Contour, || method::contour(frame, settings, outputs))?;
         let seconds = start.elapsed().as_secs_f64();
         warnings.extend(surface_warnings(&surface, outputs, settings));
         warnings.extend(left_out(&surface.report));
         Ok(Reconstruction { surface, seconds, obstacles, warnings })
+    }
+
+    /// The first two stages of [`reconstruct`](Self::reconstruct).
+    pub(crate) fn smooth(
+        self,
+        settings: &Settings,
+        obstacles: &ObstacleFiles,
+        outputs: &OutputOptions,
+        memory_bytes: u64,
+    ) -> Result<SmoothedFrame, FrameError> {
+        let LoadedFrame { path, number, cloud, mut warnings, .. } = self;
+        let path = &*path;
+        let mut loaded = stage(path, Stage::Read, || {
+            let of_obstacle = |error| Cause::Obstacle(Box::new(error));
+            let found = obstacles.find(number).map_err(of_obstacle)?;
+            obstacles.load(found, settings, memory_bytes).map_err(of_obstacle)
+        })?;
+        warnings.append(&mut loaded.warnings);
+        let obstacles = loaded.recorded.clone();
+        let given = FrameInput::InMemory(cloud);
+        let plan =
+            stage(path, Stage::Read, || method::plan(&given, &loaded, settings, outputs, memory_bytes))?;
+        let start = Instant::now();
+        let rasterize = || method::rasterize(given, loaded, settings, &plan, &outputs.folder);
+        let frame = stage(path, Stage::Rasterize, rasterize)?;
+        let frame = stage(path, Stage::Smooth, || method::smooth(frame, settings, &mut |_| {}))?;
+        Ok(SmoothedFrame { frame, start, obstacles, warnings })
     }
 }
 

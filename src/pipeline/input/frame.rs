@@ -1,6 +1,5 @@
 //! Frames to convert, and their outcomes.
 
-use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -15,14 +14,8 @@ use super::level_set_file::is_level_set;
 use super::obstacles::ObstacleFiles;
 use super::source::FrameFile;
 use crate::pipeline::error::{Cause, FrameError, Stage};
-use crate::pipeline::files::stamp::{FileStamp, now_ms};
-use crate::pipeline::records::figures::Figures;
-use crate::pipeline::records::frame_records::{
-    FrameRecords, OutputComparison, ResultState, SettingValues, Wanted, settings_id,
-};
-use crate::pipeline::records::frame_warnings::fault;
-use crate::pipeline::records::provenance::{MadeFrom, recorded_settings, valid_cameras};
-use crate::pipeline::records::record::certificate;
+use crate::pipeline::files::stamp::FileStamp;
+use crate::pipeline::records::frame_records::FrameRecords;
 use crate::pipeline::records::record_line::{DoneRecord, OutputFile};
 use crate::pipeline::target::framing::Framing;
 use crate::pipeline::target::outputs::{OutputOptions, output_path};
@@ -145,81 +138,6 @@ impl Frame {
     pub fn output_paths(&self) -> Vec<PathBuf> {
         let OutputOptions { folder, formats, .. } = &*self.outputs;
         formats.iter().map(|&format| output_path(folder, &self.stem, format)).collect()
-    }
-
-    /// The name of the frame in its records: the path of its outputs in the folder, without extension.
-    fn recorded_name(&self, records: &FrameRecords) -> PathBuf {
-        let (folder, root) = (&self.outputs.folder, records.folder());
-        let within = folder.strip_prefix(root).map(Path::to_owned).ok().or_else(|| {
-            let [folder, root] = [folder.canonicalize().ok()?, root.canonicalize().ok()?];
-            folder.strip_prefix(root).map(Path::to_owned).ok()
-        });
-        within.unwrap_or_default().join(&self.stem)
-    }
-
-    /// The recorded state of the frame's outputs, if it has records, made from these files.
-    pub(crate) fn recorded_state(
-        &self,
-        made_from: MadeFrom<'_>,
-    ) -> Option<(ResultState, Option<Arc<DoneRecord>>)> {
-        let records = self.records.as_ref()?;
-        let name = |path: PathBuf| path.file_name().unwrap_or_default().into();
-        let settings = self.recorded_settings();
-        let wanted = Wanted {
-            name: &self.recorded_name(records),
-            outputs: Some(self.output_paths().into_iter().map(name).collect()),
-            input_hash: Some(made_from.input_hash),
-            obstacles: Some(made_from.obstacles),
-            around: Some(made_from.around),
-            settings_id: &settings_id(&settings),
-            settings: Some(&settings),
-            cameras: valid_cameras(&self.outputs, self.framing.as_deref()),
-        };
-        Some(records.state(&wanted, OutputComparison::Stamps))
-    }
-
-    fn recorded_settings(&self) -> SettingValues {
-        recorded_settings(&self.job, &self.settings, &self.outputs, &self.obstacles)
-    }
-
-    /// Records that the frame was converted, if it has records; adds the record to the report.
-    ///
-    /// # Errors
-    /// When the record cannot be written.
-    pub(crate) fn record_done(&self, report: FrameReport) -> io::Result<FrameReport> {
-        let Some(records) = &self.records else { return Ok(report) };
-        let settings = self.recorded_settings();
-        let is_surface = self.job != Job::Particles;
-        let flaws = report.all_warnings().into_iter().filter(Warning::is_flaw);
-        let record = Arc::new(DoneRecord {
-            name: self.recorded_name(records),
-            input: std::path::absolute(&self.input).unwrap_or_else(|_| self.input.clone()),
-            stamp: report.input.stamp,
-            input_hash: report.input.hash,
-            obstacles: report.obstacles.clone(),
-            around: report.around.clone(),
-            obstacle_stamp: self.obstacle_stamp.clone(),
-            settings: settings_id(&settings),
-            camera: self.has_pictures().then(|| self.outputs.picture.camera.to_string()),
-            outputs: report.files.clone(),
-            violations: is_surface.then(|| fault(&report.reconstruction)).flatten(),
-            flaws: flaws.map(|warning| warning.to_string()).collect(),
-            at_ms: now_ms(),
-            figures: Arc::new(Figures::of(&report, self.job)),
-            certificate: is_surface.then(|| certificate(&report.reconstruction).to_string().into()),
-        });
-        let record = records.record_done(record, &settings)?;
-        Ok(FrameReport { record: Some(record), ..report })
-    }
-
-    /// Records that the frame could not be converted, if it has records.
-    ///
-    /// # Errors
-    /// When the record cannot be written.
-    pub fn record_failure(&self, reason: &str) -> io::Result<()> {
-        let Some(records) = &self.records else { return Ok(()) };
-        let input = std::path::absolute(&self.input).unwrap_or_else(|_| self.input.clone());
-        records.record_failure(&self.recorded_name(records), &input, reason)
     }
 }
 
@@ -348,7 +266,7 @@ mod tests {
         let outputs = OutputOptions::new("out", &[OutputFormat::Glb]);
         let file = FrameFile::new("in/dam.1.ply".into());
         let frame = Frame::new(&file, &Arc::new(settings), &Arc::new(outputs));
-        let full = Cause::Scratch(io::ErrorKind::StorageFull.into());
+        let full = Cause::Scratch(std::io::ErrorKind::StorageFull.into());
         let error = frame.failed(Stage::Smooth, full);
         assert_eq!(error.path, Path::new("out").join("dam.1"));
         assert!(error.is_disk_full());

@@ -15,8 +15,7 @@ use crate::surface::level_set::NarrowBand;
 use crate::surface::particles::{self, ParticleCloud, ParticleFilter, ParticleSource, Shapes};
 
 use crate::surface::options::Settings;
-use crate::surface::reconstruction::{self, ShapedSource, smooth_level_set_bytes_max};
-use crate::surface::report::ShapeStats;
+use crate::surface::reconstruction::smooth_level_set_bytes_max;
 
 use super::filter::{keep_chosen, none_chosen, several_kinds};
 use super::frame::{Frame, Job};
@@ -246,22 +245,6 @@ impl FrameInput {
         let selected = cloud.attributes.iter().filter(|attribute| selection.selects(attribute));
         let bytes: usize = selected.map(|attribute| attribute.values.size_bytes()).sum();
         bytes as f64 / cloud.positions.len().max(1) as f64
-    }
-
-    /// The same particles, moved and shaped as the settings require.
-    ///
-    /// # Errors
-    /// When they are on disk and cannot be read.
-    pub(crate) fn shaped(self, settings: &Settings) -> Result<(ShapedSource<FrameInput>, ShapeStats), Cause> {
-        let (particles, shape_stats) = match self {
-            FrameInput::InMemory(cloud) => {
-                let (cloud, shape_stats) = reconstruction::shape_by_attributes(cloud, settings);
-                (FrameInput::InMemory(cloud), shape_stats)
-            }
-            // A file is read in batches only if the settings need no attributes.
-            FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => (self, ShapeStats::default()),
-        };
-        reconstruction::shape_by_neighbors(particles, shape_stats, settings)
     }
 
     /// The file, if the particles are read from it in batches.

@@ -4,16 +4,18 @@
 //!   frame_records     which frames are done, and why     provenance        written into each output
 //!                     the others are not
 //!   record_file       the file that a process appends to record_line       its lines
-//!   figures           measurements in a record           reason            why a frame is in its state
+//!   known_records     what these files say               figures           measurements in a record
+//!   reason            why a frame is in its state        content           frames, outputs and other files
 //!   record            the report of a run                frame_warnings    warnings from measurements
 //!   sequence_file     all frames in one file             usd_stage         plays the files of the frames
-//!   picture_file      reads pictures from .png           content           frames, outputs and other files
+//!   picture_file      reads pictures from .png
 //! ```
 
 pub(super) mod content;
 pub(super) mod figures;
 pub(super) mod frame_records;
 pub(super) mod frame_warnings;
+mod known_records;
 pub(super) mod picture_file;
 pub(super) mod provenance;
 pub(super) mod reason;

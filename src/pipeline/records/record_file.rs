@@ -5,7 +5,8 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
-use super::frame_records::{DONE_PER_FRAME_MAX, SettingValues};
+use super::frame_records::SettingValues;
+use super::known_records::DONE_PER_FRAME_MAX;
 use super::record_line::{RecordLine, unfinished_key};
 use crate::pipeline::files::checked_line::{push_line, record_of_line};
 use crate::pipeline::files::host::host_name;

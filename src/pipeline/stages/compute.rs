@@ -11,12 +11,12 @@ use twox_hash::XxHash3_128;
 
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::around::{AroundFrame, FoundFrame, FrameContent, not_averaged};
-use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::filter::keep_chosen;
 use crate::pipeline::input::frame::Frame;
 use crate::pipeline::input::frame_input::FrameInput;
-use crate::pipeline::input::reading::{parse_particles, read_frame_unchanged, read_particles_of};
+use crate::pipeline::input::reading::{read_file, read_particles_of};
 use crate::pipeline::method::{self, StagedInput, moving_particles};
+use crate::pipeline::reconstruct::LoadedFrame;
 use crate::pipeline::warning::{InputWarning, Warning};
 use crate::surface::flicker::MovingParticles;
 use crate::surface::options::Settings;
@@ -25,7 +25,7 @@ use crate::surface::temporal::{OtherFrame, TimedFrame};
 
 use super::read::{held_count, of_all_held};
 
-use super::shared::{
+use super::{
     FinishedFrame, InputInfo, Outlet, Passed, ReadContent, StageContext, Stages, WorkItem, outcome_of,
 };
 
@@ -90,7 +90,10 @@ pub(super) fn rasterize(
     // A frame in tiles creates this folder and writes scratch files into it.
     let scratch = &frame.outputs.folder;
     shared.refuse_links(scratch)?;
-    let moving = if frame.is_averaged() { moving_particles(&input) } else { None };
+    let moving = match &input {
+        FrameInput::InMemory(cloud) if frame.is_averaged() => Some(moving_particles(cloud)),
+        _ => None,
+    };
     let work = || {
         let staged = method::rasterize(input, obstacles, &frame.settings, &plan, scratch)?;
         Ok(Rasterized { staged, moving })
@@ -112,7 +115,7 @@ pub(super) fn smooth(
     };
     content.try_map(|Rasterized { staged, moving }| {
         let work = || {
-            let staged = staged.smooth(&frame.settings, advanced).map_err(Cause::Scratch)?;
+            let staged = method::smooth(staged, &frame.settings, advanced)?;
             let timed = moving.and_then(|moving| timed(&staged, moving, &frame.settings));
             Ok(Smoothed { staged, timed })
         };
@@ -207,28 +210,20 @@ fn smoothed_alone(
 ) -> Result<Arc<TimedFrame>, FrameError> {
     let (path, settings) = (&content.path, &frame.settings);
     let failed = |cause| FrameError { path: path.clone(), during: Stage::Read, cause };
-    let of_obstacle = |error| failed(Cause::Obstacle(Box::new(error)));
-    let read = read_frame_unchanged(path, shared.options.index_policy);
-    let (bytes, _) =
-        read.map_err(|error| failed(Cause::File(error)))?.ok_or_else(|| failed(Cause::Changed))?;
+    let bytes = read_file(path)?;
     if XxHash3_128::oneshot(&bytes) != content.hash {
         return Err(failed(Cause::Changed));
     }
-    let read = parse_particles(path, &bytes, &AttributeRequest::for_settings(settings))?;
-    let obstacles = frame.obstacles.find(Some(around.number)).map_err(of_obstacle)?;
-    if obstacles.recorded() != content.obstacles {
+    let loaded = LoadedFrame::of_bytes(path, Some(around.number), &bytes, settings)?;
+    drop(bytes);
+    let moving = loaded.moving_particles();
+    let allowed_bytes = shared.options.memory_bytes / held_count(settings);
+    let smoothed = loaded.smooth(settings, &frame.obstacles, &frame.outputs, allowed_bytes);
+    let smoothed = smoothed.map_err(|FrameError { cause, .. }| failed(of_all_held(cause, settings)))?;
+    if smoothed.obstacles != content.obstacles {
         return Err(failed(Cause::Changed));
     }
-    let allowed_bytes = shared.options.memory_bytes / held_count(settings);
-    let obstacles = frame.obstacles.load(obstacles, settings, allowed_bytes).map_err(of_obstacle)?;
-    let input = FrameInput::InMemory(read.cloud);
-    let plan = method::plan(&input, &obstacles, settings, &frame.outputs, allowed_bytes);
-    let plan = plan.map_err(|cause| failed(of_all_held(cause, settings)))?;
-    let moving = moving_particles(&input);
-    let staged =
-        method::rasterize(input, obstacles, settings, &plan, &frame.outputs.folder).map_err(failed)?;
-    let staged = staged.smooth(settings, &mut |_| {}).map_err(|error| failed(Cause::Scratch(error)))?;
-    let timed = moving.and_then(|moving| timed(&staged, moving, settings));
+    let timed = timed(&smoothed.frame, moving, settings);
     let timed = timed.ok_or_else(|| failed(Cause::Missing("it has no level set in memory".to_owned())))?;
     shared.keep(content.clone(), settings, &timed);
     Ok(timed)

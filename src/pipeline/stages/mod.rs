@@ -24,32 +24,41 @@
 //! Each stage runs under `catch_unwind`: a broken invariant fails only its frame. A frame that failed, or was
 //! done already, leaves at once and overtakes others; [`run`] restores the order of outcomes.
 //!
-//! `shared` has the types that stages exchange, and measures the stages; `read`, `compute` and `write` are the
-//! stages. `smoothed` keeps frames for those that are averaged with them.
+//! A [`WorkItem`] moves from stage to stage until its frame is a [`FinishedFrame`]. Between two stages it passes a
+//! [link]: a stage reserves a slot in it before it starts a frame, so a thread of the pool never waits for room in
+//! a channel. `smoothed` keeps frames for those that are averaged with them.
 
 mod compute;
 mod read;
-mod shared;
 mod smoothed;
 mod write;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
+use std::time::Instant;
 
-use crossbeam::channel::bounded;
+use crossbeam::channel::{Receiver, Sender, bounded};
+use meniscus_formats::ParticleFrame;
 use rayon::ThreadPool;
 
-use crate::pipeline::error::Stage;
-use crate::pipeline::input::frame::{Frame, Outcome};
+use crate::pipeline::budget::{Budget, Reservation};
+use crate::pipeline::error::{Cause, FrameError, Stage};
+use crate::pipeline::input::around::{FoundFrame, KnownHashes};
+use crate::pipeline::input::frame::{Frame, InputState, Outcome, Seconds};
+use crate::pipeline::input::frame_input::FrameInput;
+use crate::pipeline::input::obstacles::FrameObstacles;
 use crate::pipeline::input::steps::IndexPolicy;
 use crate::pipeline::memory::default_memory_bytes;
 use crate::pipeline::observer::Observer;
 use crate::pipeline::scheduler::{Scheduler, TaskQueue};
+use crate::pipeline::semaphore::{Permit, Semaphore};
+use crate::pipeline::warning::Warning;
+use crate::surface::reconstruction::MemoryPlan;
 
 use compute::{contour, rasterize, smooth};
-use shared::{FinishedFrame, StageContext, Stages, WorkItem, is_failure, link};
-use smoothed::Gate;
+use smoothed::{Computing, Gate, SmoothedFrames, User};
 
 /// What to do when a frame fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -214,4 +223,214 @@ fn drive<'scope, 'env: 'scope, K: Send + 'env>(
             let _ = slot_receiver.try_recv();
         }
     });
+}
+
+/// The state that all stages share.
+struct StageContext<'env> {
+    options: &'env PipelineOptions<'env>,
+    budget: Budget,
+    smoothed: SmoothedFrames,
+    hashes: KnownHashes,
+    /// The number of the first frame that failed.
+    first_failed: AtomicUsize,
+}
+
+/// The stages of one call of [`stream`](stream). The threads of the stages borrow this.
+struct Stages<'a, 'scope, 'env> {
+    shared: &'env StageContext<'env>,
+    scheduler: Scheduler<'a, 'scope, 'env>,
+}
+
+/// A frame between two stages.
+struct WorkItem<'env, K, T> {
+    /// The position of the frame in the order of requests: the lowest computes first.
+    number: usize,
+    /// The caller's key for the frame.
+    key: K,
+    frame: Frame,
+    info: InputInfo<'env>,
+    /// The result of the last stage.
+    content: T,
+}
+
+/// What reading a frame determines, for the later stages.
+struct InputInfo<'env> {
+    input: InputState,
+    seconds: Seconds,
+    noted: InputNotes,
+    obstacles: ObstacleSummary,
+    /// The frames before and after it.
+    around: Vec<FoundFrame>,
+    /// Keeps smoothed frames available while it exists; `None` if this frame is not averaged.
+    user: Option<User<'env>>,
+    /// While it exists, frames around this one wait at the gate. Dropped when this frame is smoothed.
+    computing: Option<Computing<'env>>,
+    /// The peak memory of the frame in all stages, in bytes.
+    needed_bytes: u64,
+    memory: Reservation<'env>,
+}
+
+/// The obstacles of a frame, as far as its record and its report need them.
+#[derive(Default)]
+struct ObstacleSummary {
+    recorded: String,
+    open_edge_count: usize,
+}
+
+/// Warnings about the input.
+#[derive(Default)]
+struct InputNotes {
+    warnings: Vec<Warning>,
+    /// The name of the velocity attribute, if the file has one and no option requests it.
+    unused_velocity: Option<String>,
+}
+
+/// The result of reading.
+enum ReadContent {
+    /// For a surface, with the plan of its reconstruction.
+    Surface { input: Box<FrameInput>, obstacles: FrameObstacles, plan: MemoryPlan },
+    /// The bytes of a particle file, for conversion to another format.
+    Particles(Vec<u8>),
+}
+
+/// What one compute stage passes to the next one.
+enum Passed<T> {
+    /// A surface in progress.
+    Surface(T),
+    /// Particles without a surface.
+    Particles(Box<ParticleFrame>),
+}
+
+impl<T> Passed<T> {
+    /// Runs a stage of a surface; particles pass unchanged.
+    fn try_map<U, E>(self, stage: impl FnOnce(T) -> Result<U, E>) -> Result<Passed<U>, E> {
+        match self {
+            Passed::Surface(surface) => stage(surface).map(Passed::Surface),
+            Passed::Particles(particles) => Ok(Passed::Particles(particles)),
+        }
+    }
+}
+
+/// A frame and its outcome.
+struct FinishedFrame<K> {
+    key: K,
+    frame: Frame,
+    outcome: Outcome,
+}
+
+/// Smoothed frames that are kept for others may take this fraction of the memory.
+const KEPT_SHARE: u64 = 4;
+
+impl<'env> StageContext<'env> {
+    /// The state before the first frame.
+    fn new(options: &'env PipelineOptions<'env>) -> StageContext<'env> {
+        let budget = Budget::new(options.memory_bytes);
+        StageContext {
+            options,
+            budget,
+            smoothed: SmoothedFrames::new(options.memory_bytes / KEPT_SHARE),
+            hashes: KnownHashes::default(),
+            first_failed: AtomicUsize::new(usize::MAX),
+        }
+    }
+
+    /// Reports that a frame begins a stage.
+    fn begin(&self, frame: &Frame, stage: Stage) {
+        if let Some(observer) = self.options.observer {
+            observer.began(frame, stage);
+        }
+    }
+
+    /// Runs a stage of a surface, and measures it.
+    fn measured<T>(
+        &self,
+        stage: Stage,
+        frame: &Frame,
+        info: &mut InputInfo<'_>,
+        work: impl FnOnce() -> Result<T, Cause>,
+    ) -> Result<T, FrameError> {
+        self.begin(frame, stage);
+        let start = Instant::now();
+        let made = work();
+        *info.seconds.of_stage(stage) = start.elapsed().as_secs_f64();
+        made.map_err(|cause| frame.failed(stage, cause))
+    }
+
+    /// Reports the outcome of the frame with this number. Returns whether the caller still receives outcomes.
+    fn finish<K>(&self, number: usize, to: &Sender<FinishedFrame<K>>, finished: FinishedFrame<K>) -> bool {
+        if is_failure(&finished.outcome) {
+            self.first_failed.fetch_min(number, Ordering::Relaxed);
+        }
+        to.send(finished).is_ok()
+    }
+
+    /// Whether a frame before this one failed, under [`OnError::Stop`].
+    fn is_stopped_before(&self, number: usize) -> bool {
+        self.options.on_error == OnError::Stop && self.first_failed.load(Ordering::Relaxed) < number
+    }
+}
+
+/// The outcome of a frame with this error.
+fn outcome_of(error: FrameError) -> Outcome {
+    if matches!(error.cause, Cause::Changed) { Outcome::Changed } else { Outcome::Failed(error) }
+}
+
+/// Whether a frame was attempted and has no outputs.
+fn is_failure(outcome: &Outcome) -> bool {
+    matches!(outcome, Outcome::Failed(_) | Outcome::Changed)
+}
+
+/// A bounded channel between two stages, whose slots are reserved before use.
+fn link<T>(capacity: usize) -> (Outlet<T>, Inlet<T>) {
+    let (items, from) = bounded(capacity);
+    (Outlet { items, slots: Semaphore::new(capacity) }, Inlet(from))
+}
+
+/// The end of a link that a stage sends to.
+#[derive(Clone)]
+struct Outlet<T> {
+    items: Sender<(Permit, T)>,
+    slots: Semaphore,
+}
+
+/// The end of a link that a stage receives from.
+struct Inlet<T>(Receiver<(Permit, T)>);
+
+/// A reserved slot in a link: it becomes free when it is dropped, or when the item is received.
+struct LinkSlot<T> {
+    items: Sender<(Permit, T)>,
+    permit: Permit,
+}
+
+impl<T> Outlet<T> {
+    /// Waits for a free slot.
+    fn reserve(&self) -> LinkSlot<T> {
+        LinkSlot { items: self.items.clone(), permit: self.slots.acquire() }
+    }
+}
+
+impl<T> LinkSlot<T> {
+    /// Sends, without waiting.
+    fn send(self, item: T) {
+        // This fails only if the next stage is gone, and then the caller is, too.
+        let _ = self.items.try_send((self.permit, item));
+    }
+}
+
+impl<T> Inlet<T> {
+    /// The items, each with a permit that is dropped when the item is received.
+    fn items(&self) -> &Receiver<(Permit, T)> {
+        &self.0
+    }
+
+    /// Waits for the next item; `None` once the stage before has ended.
+    fn receive(&self) -> Option<T> {
+        self.0.recv().ok().map(|(_, item)| item)
+    }
+}
+
+impl<T> Clone for Inlet<T> {
+    fn clone(&self) -> Inlet<T> {
+        Inlet(self.0.clone())
+    }
 }

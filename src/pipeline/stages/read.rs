@@ -11,6 +11,7 @@ use std::time::Instant;
 use crossbeam::channel::Sender;
 use twox_hash::XxHash3_128;
 
+use crate::pipeline::budget::Reservation;
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::{InputFile, read_unchanged};
 use crate::pipeline::input::around::{self, FoundFrame, find_around};
@@ -18,7 +19,7 @@ use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame::{Frame, InputState, Job, Outcome, Seconds};
 use crate::pipeline::input::frame_input::{FileParticles, FrameInput, LevelSetInput, read_level_set};
 use crate::pipeline::input::level_set_file::{level_set_limits, other_grids};
-use crate::pipeline::input::obstacles::FoundObstacles;
+use crate::pipeline::input::obstacles::{FoundObstacles, FrameObstacles};
 use crate::pipeline::input::out_of_reach::out_of_reach;
 use crate::pipeline::input::position_doubts::position_doubts;
 use crate::pipeline::input::reading::{parse_particles, read_frame_unchanged};
@@ -27,17 +28,17 @@ use crate::pipeline::method;
 use crate::pipeline::records::provenance::MadeFrom;
 use crate::pipeline::warning::Warning;
 use crate::surface::options::Settings;
-use crate::surface::reconstruction::TooLarge;
+use crate::surface::reconstruction::{MemoryPlan, TooLarge};
 
-use super::shared::{
-    FinishedFrame, InputInfo, Noted, ObstacleSummary, ReadContent, Stages, WorkItem, outcome_of,
+use super::{
+    FinishedFrame, InputInfo, InputNotes, ObstacleSummary, ReadContent, Stages, WorkItem, outcome_of,
 };
 
 /// A frame that was read.
 struct ReadResult {
     content: ReadContent,
     input: InputState,
-    noted: Noted,
+    noted: InputNotes,
     around: Vec<FoundFrame>,
 }
 
@@ -84,33 +85,43 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             Job::Particles => self.bytes_of(frame),
         });
         let ReadResult { content, input, noted, around } = read.map_err(Outcome::Failed).flatten()?;
-        let (user, computing) = (frame.is_averaged().then(|| shared.smoothed.user()), None);
+        let user = frame.is_averaged().then(|| shared.smoothed.user());
         let seconds = Seconds { read: start.elapsed().as_secs_f64(), ..Seconds::default() };
-        let ReadContent::Surface { input: given, obstacles, plan } = &content else {
-            let (needed_bytes, obstacles) = (bytes, ObstacleSummary::default());
-            let info =
-                InputInfo { input, seconds, noted, obstacles, around, user, computing, needed_bytes, memory };
-            return Ok((content, info));
+        let (obstacles, needed_bytes) = match &content {
+            ReadContent::Particles(_) => (ObstacleSummary::default(), bytes),
+            ReadContent::Surface { input, obstacles, plan } => {
+                let needed_bytes = self.account_for(frame, input, obstacles, plan, &mut memory);
+                let (recorded, open_edge_count) = (obstacles.recorded.clone(), obstacles.open_edge_count);
+                (ObstacleSummary { recorded, open_edge_count }, needed_bytes)
+            }
         };
+        let computing = None;
+        let info =
+            InputInfo { input, seconds, noted, obstacles, around, user, computing, needed_bytes, memory };
+        Ok((content, info))
+    }
+
+    /// Reduces the reservation of a frame that was read to what it holds until it is computed. Returns the memory
+    /// that all its stages need, in bytes.
+    fn account_for(
+        &self,
+        frame: &Frame,
+        given: &FrameInput,
+        obstacles: &FrameObstacles,
+        plan: &MemoryPlan,
+        memory: &mut Reservation<'_>,
+    ) -> u64 {
         // Static obstacles are shared with later frames. The address of the `Arc` identifies them; it does
         // not change while this pipeline has frames. Until `resize` below, this frame's reservation still
         // includes their memory, so no other frame can reserve it in between.
         let standing_bytes = obstacles.all_bytes - obstacles.own_bytes;
-        shared.budget.set_shared(Arc::as_ptr(&frame.obstacles).addr(), standing_bytes);
+        self.shared.budget.set_shared(Arc::as_ptr(&frame.obstacles).addr(), standing_bytes);
         let given_bytes = given.size_bytes().saturating_add(obstacles.own_bytes);
-        if let Some(observer) = shared.options.observer {
+        if let Some(observer) = self.shared.options.observer {
             observer.planned(frame, plan, given_bytes);
         }
         memory.resize(given_bytes);
-        let needed_bytes =
-            plan.memory_bytes.saturating_add(given_bytes).saturating_mul(held_count(&frame.settings));
-        let obstacles = ObstacleSummary {
-            recorded: obstacles.recorded.clone(),
-            open_edge_count: obstacles.open_edge_count,
-        };
-        let info =
-            InputInfo { input, seconds, noted, obstacles, around, user, computing, needed_bytes, memory };
-        Ok((content, info))
+        plan.memory_bytes.saturating_add(given_bytes).saturating_mul(held_count(&frame.settings))
     }
 
     /// The bytes of a frame that is converted to another particle format.
@@ -118,7 +129,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let (bytes, input) = self.read_whole(frame)?;
         self.refuse_done(frame, input, "", &[])?;
         let content = ReadContent::Particles(bytes);
-        Ok(ReadResult { content, input, noted: Noted::default(), around: Vec::new() })
+        Ok(ReadResult { content, input, noted: InputNotes::default(), around: Vec::new() })
     }
 
     /// Reads the level set of a frame, and gives the frame the voxel size and the origin of its file.
@@ -140,7 +151,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         self.refuse_done(frame, input, "", &[])?;
         let warnings = std::mem::take(&mut file.warnings).into_iter().chain(other_grids).collect();
         let given = FrameInput::LevelSet(Box::new(LevelSetInput::new(file, &frame.job)));
-        let noted = Noted { warnings, unused_velocity: None };
+        let noted = InputNotes { warnings, unused_velocity: None };
         let found = FoundObstacles::default();
         self.parse_and_plan(number, frame, move || Ok((given, noted)), (found, Vec::new()), input)
     }
@@ -163,7 +174,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let found = frame.obstacles.find(frame.number);
         let obstacles = found.map_err(|error| Outcome::Failed(of_obstacle(error)))?;
         let shared = self.shared;
-        let (around, without) = find_around(frame, &shared.hashes, shared.options.index_policy);
+        let (around, left_out_warnings) = find_around(frame, &shared.hashes, shared.options.index_policy);
         let wanted = AttributeRequest::for_settings(&frame.settings);
         if let Some(file) = self.worth_streaming(frame).map_err(|error| failed(error.into()))? {
             let failed = |error: io::Error| failed(error.into());
@@ -179,8 +190,9 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                 let choose = move || {
                     let failed = |cause| FrameError { path: path.clone(), during: Stage::Read, cause };
                     let particles = particles.chosen_by(wanted.filter.as_ref()).map_err(failed)?;
+                    // Such a frame is not averaged with others: following its particles needs attributes.
                     let (warnings, unused_velocity) = (particles.warnings(), particles.unused_velocity());
-                    let noted = Noted { warnings: warnings.map_err(failed)?, unused_velocity };
+                    let noted = InputNotes { warnings: warnings.map_err(failed)?, unused_velocity };
                     Ok((FrameInput::OnDisk(Box::new(particles)), noted))
                 };
                 return self.parse_and_plan(number, frame, choose, (obstacles, around), input);
@@ -191,8 +203,8 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let path = frame.input.clone();
         let parse = move || {
             let read = parse_particles(&path, &bytes, &wanted)?;
-            let warnings = [read.warnings, without].concat();
-            let noted = Noted { warnings, unused_velocity: read.unused_velocity };
+            let warnings = [read.warnings, left_out_warnings].concat();
+            let noted = InputNotes { warnings, unused_velocity: read.unused_velocity };
             Ok((FrameInput::InMemory(read.cloud), noted))
         };
         self.parse_and_plan(number, frame, parse, (obstacles, around), input)
@@ -203,7 +215,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         &self,
         number: usize,
         frame: &Frame,
-        parse: impl FnOnce() -> Result<(FrameInput, Noted), FrameError> + Send + 'env,
+        parse: impl FnOnce() -> Result<(FrameInput, InputNotes), FrameError> + Send + 'env,
         (found, around): (FoundObstacles, Vec<FoundFrame>),
         input: InputState,
     ) -> Result<ReadResult, Outcome> {

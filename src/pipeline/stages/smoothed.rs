@@ -20,7 +20,7 @@ use crate::pipeline::input::around::FrameContent;
 use crate::surface::options::Settings;
 use crate::surface::temporal::TimedFrame;
 
-use super::shared::Inlet;
+use super::Inlet;
 
 /// The smoothed frames that are kept, and the frames that will be.
 pub(super) struct SmoothedFrames {

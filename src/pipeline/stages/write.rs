@@ -24,8 +24,8 @@ use crate::pipeline::warning::Warning;
 use crate::surface::reconstruction::FrameSurface;
 use crate::surface::space::Lattice;
 
-use super::shared::{
-    FinishedFrame, Inlet, InputInfo, Noted, ObstacleSummary, Passed, StageContext, Stages, WorkItem,
+use super::{
+    FinishedFrame, Inlet, InputInfo, InputNotes, ObstacleSummary, Passed, StageContext, Stages, WorkItem,
 };
 
 impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
@@ -149,7 +149,7 @@ fn base_report(
     warnings: Vec<Warning>,
 ) -> FrameReport {
     let ObstacleSummary { recorded, open_edge_count } = info.obstacles;
-    let Noted { warnings: of_input, unused_velocity } = info.noted;
+    let InputNotes { warnings: of_input, unused_velocity } = info.noted;
     let has_attributes = frame.outputs.formats.iter().any(|format| format.has_attributes());
     FrameReport {
         input: info.input,

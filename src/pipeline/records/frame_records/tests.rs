@@ -3,9 +3,11 @@ use std::io::Write as _;
 
 use glam::DVec3;
 
-use super::super::record_file::{COMPACTED_LINES_MIN, LOCK_EXTENSION};
+use super::super::known_records::DONE_PER_FRAME_MAX;
+use super::super::record_file::{COMPACTED_LINES_MIN, LOCK_EXTENSION, record_files};
 use super::super::record_line::{DaemonState, SequenceCamera};
 use super::*;
+use crate::pipeline::files::out_folder::is_disk_full;
 use crate::pipeline::{Framed, MeasuredSpacing};
 
 fn values(voxel_size: &str) -> SettingValues {
