@@ -106,6 +106,12 @@ impl<'a> Batch<'a> {
         self.items.extend(selected.iter().map(item));
     }
 
+    /// Whether any frame is averaged with others.
+    pub(super) fn averages(&self) -> bool {
+        let mut frames = self.items.iter().filter_map(|item| item.frame.as_ref().ok());
+        frames.any(|frame| !frame.around.is_empty())
+    }
+
     fn add_sequence(&mut self, name: &str, record: SequenceRecord) -> usize {
         self.sequence_names.push(name.to_owned());
         self.record.add_sequence(record)

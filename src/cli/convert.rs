@@ -198,6 +198,11 @@ impl ConvertPlan {
         for selected in &self.selection.sequences {
             self.add(&mut batch, selected, console)?;
         }
+        if self.options.temporal.is_some_and(|reach| reach > 0) && !batch.averages() {
+            console.warning(format_args!(
+                "--temporal has no effect: no frame has a name with the number before or after that of another one"
+            ));
+        }
         if let Some(records) = &self.records {
             records.prepare().with_context(|| {
                 let folder = records.folder().join(STATE_FOLDER);

@@ -16,6 +16,8 @@ use crate::pipeline::{
     ResultState, STATE_FOLDER, Wanted, canonical_path, file_of, hash_of_input, sequences,
 };
 
+use crate::surface::temporal::FRAMES_MAX;
+
 use super::CommandOutcome;
 use super::args::VerifyArgs;
 use super::console::Console;
@@ -110,18 +112,19 @@ struct KnownFrame {
     input: PathBuf,
     /// The latest one last.
     records: Vec<Arc<DoneRecord>>,
+    /// Whether its input is among those given.
+    is_given: bool,
 }
 
 /// The frames with a record, by name.
 fn recorded_frames(records: &FrameRecords) -> BTreeMap<PathBuf, KnownFrame> {
     let done = records.done().into_iter().filter_map(|(name, records)| {
         let input = records.last()?.input.clone();
-        Some((name, KnownFrame { input, records }))
+        Some((name, KnownFrame { input, records, is_given: false }))
     });
-    let others = records
-        .never_done()
-        .into_iter()
-        .map(|(name, record)| (name, KnownFrame { input: record.input.clone(), records: Vec::new() }));
+    let others = records.never_done().into_iter().map(|(name, record)| {
+        (name, KnownFrame { input: record.input.clone(), records: Vec::new(), is_given: false })
+    });
     done.chain(others).collect()
 }
 
@@ -136,10 +139,8 @@ fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: Vec<FrameFile>)
         let name = name_of.remove(&input).unwrap_or_else(|| file.stem().into());
         // Of several inputs with the same outputs, the first one is converted.
         if given.insert(name.clone()) {
-            frames
-                .entry(name)
-                .or_insert_with(|| KnownFrame { input: PathBuf::new(), records: Vec::new() })
-                .input = input;
+            let records = frames.remove(&name).map_or_else(Vec::new, |known| known.records);
+            frames.insert(name, KnownFrame { input, records, is_given: true });
         }
     }
 }
@@ -161,6 +162,8 @@ fn current_settings(
 ) -> HashMap<PathBuf, WantedSettings> {
     let recorded: HashMap<&Path, &[Arc<DoneRecord>]> =
         frames.values().map(|frame| (&*frame.input, &*frame.records)).collect();
+    let given: HashSet<&Path> =
+        frames.values().filter(|frame| frame.is_given).map(|frame| &*frame.input).collect();
     let inputs = frames.values().map(|frame| FrameFile::new(frame.input.clone())).collect();
     let mut settings = HashMap::new();
     for sequence in sequences(inputs) {
@@ -179,8 +182,11 @@ fn current_settings(
         }
         let Some((current, _)) = uses.into_iter().max_by_key(|(_, uses)| *uses) else { continue };
         let values = records.settings(current);
-        let reach = values.and_then(|values| values.get("temporal")?.parse().ok()).unwrap_or(0);
-        let numbered = NumberedFrames::of_files(&sequence.frames);
+        let reach: u32 = values.and_then(|values| values.get("temporal")?.parse().ok()).unwrap_or(0);
+        let reach = reach.min(FRAMES_MAX);
+        // Recorded frames whose inputs are gone are not around others.
+        let given = sequence.frames.iter().filter(|file| given.contains(&*file.path));
+        let numbered = NumberedFrames::of_files(given);
         settings.extend(sequence.frames.iter().map(|file| {
             let around = numbered.frames_around(file.number(), reach);
             (file.path.clone(), WantedSettings { id: current.to_owned(), around })
@@ -228,10 +234,19 @@ fn verify_frame(
         settings: settings.as_ref(),
         cameras: Vec::new(),
     };
-    let (state, _) = records.state(&wanted, OutputComparison::Bytes);
+    let (state, record) = records.state(&wanted, OutputComparison::Bytes);
     let input_exists = input_hash != Ok(None);
-    let state = match input_hash {
-        Err(unreadable) if state.is_done() => ResultState::Stale(unreadable),
+    let is_other = |around: &&RecordedAround| {
+        let hash =
+            hashes.get(&file_of(&input).with_file_name(&around.name)).and_then(|hash| hash.as_ref().ok());
+        around.hash != 0 && hash.is_some_and(|hash| *hash != around.hash)
+    };
+    let changed = record.as_ref().and_then(|record| record.around.iter().find(is_other));
+    let state = match (input_hash, changed) {
+        (Err(unreadable), _) if state.is_done() => ResultState::Stale(unreadable),
+        (_, Some(around)) if state.is_done() => {
+            ResultState::Stale(format!("{}, which it was averaged with, has changed since", around.name))
+        }
         _ => state,
     };
     VerifiedFrame { name, input, state, input_exists }

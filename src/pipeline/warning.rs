@@ -291,7 +291,7 @@ impl fmt::Display for InputWarning {
             }
             InputWarning::Irregular { irregularity, suitable } => write!(
                 f,
-                "the particles are spaced irregularly (irregularity {} %): the preset {} makes calmer pools and waves of them, though thicker splashes, than {}",
+                "the particles are spaced irregularly (irregularity {} %): the preset {} makes pools and waves calmer, but splashes thicker, than {}",
                 (100.0 * irregularity).round(),
                 suitable,
                 Preset::default()

@@ -550,7 +550,7 @@ fn irregular_particles_cause_a_note_unless_a_preset_is_given() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_irregular(path, 1);
-    let note = "the preset noisy makes calmer pools and waves of them, though thicker splashes, than fluid; use --preset noisy, or give --preset fluid if splashes matter more";
+    let note = "the preset noisy makes pools and waves calmer, but splashes thicker, than fluid; use --preset noisy, or give --preset fluid if splashes matter more";
     for (options, is_noted) in [
         (&[][..], true),
         (&["--preset", "sph"], false),
@@ -563,7 +563,7 @@ fn irregular_particles_cause_a_note_unless_a_preset_is_given() {
     let watch = ["watch", ".", "--out", "w", "--once", "--pattern", "wild.*.ply", "--settle", "10ms"];
     let result = meniscus(path, &[&watch[..], &COARSE].concat());
     assert_eq!(result.status, 0, "{}", result.err);
-    assert!(result.err.contains("the preset noisy makes calmer pools and waves of them"), "{}", result.err);
+    assert!(result.err.contains("the preset noisy makes pools and waves calmer"), "{}", result.err);
 }
 
 #[test]

@@ -85,6 +85,19 @@ fn changed_frames_concern_those_around_them() {
     assert_eq!(again.out.matches("done already").count(), 3, "{}", again.out);
     convert(folder, "fresh", &[]);
     assert!(contents(&folder.join("out")) == contents(&folder.join("fresh")));
+    // Also without the inputs, as far as they are where they were.
+    fs::copy(folder.join("in/dam.5.ply"), folder.join("in/dam.1.ply")).expect("copied");
+    let alone = meniscus(folder, &["verify", "out"]);
+    assert!(
+        alone.err.contains("dam.3: stale: dam.1.ply, which it was averaged with, has changed"),
+        "{}",
+        alone.err
+    );
+    // A frame that is gone is not missed.
+    fs::remove_file(folder.join("in/dam.1.ply")).expect("removed");
+    convert(folder, "out", &["--skip-done"]);
+    let found = verify();
+    assert!(found.out.contains("6 done"), "{}{}", found.out, found.err);
     // A frame that is gone leaves a gap, and one that cannot be read a warning.
     fs::remove_file(folder.join("in/dam.4.ply")).expect("removed");
     fs::write(folder.join("in/dam.6.ply"), "ply\nformat nonsense 1.0\n").expect("written");
@@ -93,7 +106,34 @@ fn changed_frames_concern_those_around_them() {
     assert_eq!(broken.status, 1);
     assert!(broken.err.contains("not averaged with one of the frames around it"), "{}", broken.err);
     let names = names_in(&folder.join("broken"));
-    assert_eq!(names.iter().filter(|name| name.ends_with(".obj")).count(), 4, "{names:?}");
+    assert_eq!(names.iter().filter(|name| name.ends_with(".obj")).count(), 3, "{names:?}");
+}
+
+/// Some programs write ids as floats.
+#[test]
+fn ids_may_be_floats() {
+    let folder = prepared("id");
+    let folder = folder.path();
+    convert(folder, "integers", &[]);
+    for name in names_in(&folder.join("in")) {
+        let path = folder.join("in").join(name);
+        let text = fs::read_to_string(&path).expect("readable");
+        let floats = text.replace("property int id", "property double id");
+        assert_ne!(text, floats);
+        fs::write(&path, floats).expect("written");
+    }
+    convert(folder, "floats", &[]);
+    let meshes = |out: &str| -> Vec<_> {
+        contents(&folder.join(out)).into_iter().filter(|(name, _)| name.ends_with(".obj")).collect()
+    };
+    let without_comments = |meshes: Vec<(String, Vec<u8>)>| -> Vec<String> {
+        let lines = |bytes: Vec<u8>| -> String {
+            let text = String::from_utf8(bytes).expect("text");
+            text.lines().filter(|line| !line.starts_with('#')).collect()
+        };
+        meshes.into_iter().map(|(_, bytes)| lines(bytes)).collect()
+    };
+    assert!(without_comments(meshes("integers")) == without_comments(meshes("floats")));
 }
 
 #[test]
@@ -120,6 +160,15 @@ fn option_is_refused_where_there_is_only_one_frame() {
     assert_refused(folder, &["tune", "in/dam.1.ply", "-o", "tune.png", "--temporal", "1"], &[why]);
     assert_refused(folder, &["render", "in/dam.1.ply", "-o", "dam.png", "--temporal", "1"], &[why]);
     assert_refused(folder, &["convert", "in", "--out", "out", "--temporal", "4"], &["from 0 to 3"]);
+    let alone = convert(folder, "one", &["--skip-done"]);
+    assert!(!alone.err.contains("no effect"), "{}", alone.err);
+    fs::create_dir(folder.join("single")).expect("made");
+    fs::copy(folder.join("in/dam.1.ply"), folder.join("single/dam.1.ply")).expect("copied");
+    let alone = meniscus(
+        folder,
+        &[&["convert", "single", "--out", "alone", "--temporal", "1"][..], &OPTIONS].concat(),
+    );
+    assert!(alone.err.contains("--temporal has no effect"), "{}", alone.err);
     let idle = meniscus(folder, &["convert", "in", "--out", "out", "--time-step", "0.1"]);
     assert!(idle.err.contains("--time-step") && idle.err.contains("--temporal"), "{}", idle.err);
 }

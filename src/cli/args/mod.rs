@@ -971,7 +971,8 @@ State of a frame:
               most frames of the sequence, and passed validation
   missing     a result does not exist, or there is no record of the frame
   damaged     a result was changed or replaced after it was written
-  stale       made from another version of the input, with other settings or by another version of meniscus
+  stale       made from another version of the input or of a frame that it was averaged with, with other settings
+              or by another version of meniscus
   violations  as done, but a check of the surface failed: converting again would give the same result
 
 Exit status:

@@ -204,11 +204,11 @@ impl fmt::Display for ParticlesInfo {
                 row(f, "spacing", format_args!("{}, confidence {percent} %", significant(spacing)))?;
                 if let (Some(irregularity), Some(preset)) = (self.irregularity, self.suggested_preset) {
                     let percent = (100.0 * irregularity).round();
-                    let [spaced, but] = match preset {
+                    let [spaced, note] = match preset {
                         Preset::Noisy => ["irregularly", " (splashes: fluid)"],
                         _ => ["evenly", ""],
                     };
-                    let suits = format_args!("{percent} %: {spaced} spaced, preset {preset} suits{but}");
+                    let suits = format_args!("{percent} %: {spaced} spaced, preset {preset} suits{note}");
                     row(f, "irregularity", suits)?;
                 }
                 row(f, "suggested voxel size", shortest(voxel_size))

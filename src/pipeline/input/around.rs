@@ -1,18 +1,18 @@
 //! The frames before and after a frame, with which its surface is averaged (`--temporal`).
 
 use std::collections::{BTreeMap, HashMap};
+use std::ops::Bound;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
-use twox_hash::XxHash3_128;
 
 use super::frame::Frame;
 use super::obstacles::ObstacleFiles;
-use super::reading::read_frame_unchanged;
+use super::reading::hash_and_stamp;
 use super::source::FrameFile;
 use super::steps::{IndexPolicy, file_of, frame_name};
-use crate::pipeline::error::{Cause, FrameError, Stage};
+use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::json::hex;
 use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::warning::{FrameWarning, Warning};
@@ -83,46 +83,80 @@ pub(crate) fn recorded(around: &[FoundFrame]) -> Vec<RecordedAround> {
 pub struct NumberedFrames<T> {
     /// Several frames with one number are between it and the next: they are averaged with none.
     frames: BTreeMap<i64, Vec<T>>,
-    /// The smallest difference between two numbers.
-    step: Option<i64>,
+    /// How often each difference between a number and the next occurs. The smallest one is a step.
+    gaps: BTreeMap<i64, usize>,
 }
 
 impl<T> Default for NumberedFrames<T> {
     fn default() -> NumberedFrames<T> {
-        NumberedFrames { frames: BTreeMap::new(), step: None }
+        NumberedFrames { frames: BTreeMap::new(), gaps: BTreeMap::new() }
     }
 }
 
 impl<T: PartialEq> NumberedFrames<T> {
-    /// Adds a frame. Returns whether that changes how far apart frames are.
+    /// Adds a frame. Returns whether that changes which frames are around others than those next to it.
     pub fn insert(&mut self, number: i64, frame: T) -> bool {
-        let before = self.frames.range(..number).next_back().and_then(|(at, _)| number.checked_sub(*at));
-        let after = self.frames.range(number.saturating_add(1)..).next();
-        let after = after.and_then(|(at, _)| at.checked_sub(number));
-        let step = [self.step, before, after].into_iter().flatten().min();
+        let step = self.step();
         let of_number = self.frames.entry(number).or_default();
-        if !of_number.contains(&frame) {
-            of_number.push(frame);
+        if of_number.contains(&frame) {
+            return false;
         }
-        std::mem::replace(&mut self.step, step) != step
+        of_number.push(frame);
+        if of_number.len() > 1 {
+            return of_number.len() == 2;
+        }
+        let [before, after] = self.gaps_at(number);
+        self.count_gaps([between(before, after)], false);
+        self.count_gaps([before, after], true);
+        self.step() != step
     }
 
-    /// Removes a frame. Returns whether that changes how far apart frames are.
+    /// Removes a frame. Returns whether that changes which frames are around others than those next to it.
     pub fn remove(&mut self, number: i64, frame: &T) -> bool {
+        let step = self.step();
         let Some(of_number) = self.frames.get_mut(&number) else { return false };
+        let count = of_number.len();
         of_number.retain(|other| other != frame);
         if !of_number.is_empty() {
-            return false;
+            return of_number.len() == 1 && count == 2;
         }
         self.frames.remove(&number);
+        let [before, after] = self.gaps_at(number);
+        self.count_gaps([before, after], false);
+        self.count_gaps([between(before, after)], true);
+        self.step() != step
+    }
+
+    /// By how much numbers of frames next to each other differ.
+    fn step(&self) -> Option<i64> {
+        self.gaps.keys().next().copied()
+    }
+
+    /// The differences between a number and those before and after it.
+    fn gaps_at(&self, number: i64) -> [Option<i64>; 2] {
         let before = self.frames.range(..number).next_back().and_then(|(at, _)| number.checked_sub(*at));
-        let after = self.frames.range(number..).next().and_then(|(at, _)| at.checked_sub(number));
-        if before != self.step && after != self.step {
-            return false;
+        let after = self.frames.range((Bound::Excluded(number), Bound::Unbounded)).next();
+        [before, after.and_then(|(at, _)| at.checked_sub(number))]
+    }
+
+    fn count_gaps(&mut self, gaps: impl IntoIterator<Item = Option<i64>>, are_added: bool) {
+        for gap in gaps.into_iter().flatten() {
+            let count = self.gaps.entry(gap).or_default();
+            *count = if are_added { *count + 1 } else { count.saturating_sub(1) };
+            if *count == 0 {
+                self.gaps.remove(&gap);
+            }
         }
-        let following = self.frames.keys().zip(self.frames.keys().skip(1));
-        let step = following.filter_map(|(number, next)| next.checked_sub(*number)).min();
-        std::mem::replace(&mut self.step, step) != step
+    }
+
+    /// Whether a frame up to `reach` steps after this one may still come.
+    pub fn may_grow_after(&self, number: i64, reach: u32) -> bool {
+        let is_one = self.frames.get(&number).is_some_and(|of_number| of_number.len() == 1);
+        let is_free = |step: i64, steps: u32| {
+            let number = step.checked_mul(steps.into()).and_then(|far| number.checked_add(far));
+            number.is_some_and(|number| !self.frames.contains_key(&number))
+        };
+        is_one && self.step().is_none_or(|step| (1..=reach).any(|steps| is_free(step, steps)))
     }
 
     /// The frames up to `reach` steps before and after a frame, in order, with the number of steps and their
@@ -136,7 +170,7 @@ impl<T: PartialEq> NumberedFrames<T> {
         let Some(number) = number.filter(|number| only(*number).is_some()) else { return Vec::new() };
         let reach = i32::try_from(reach).unwrap_or(i32::MAX);
         let frame = |steps: i32| {
-            let number = number.checked_add(self.step?.checked_mul(steps.into())?)?;
+            let number = number.checked_add(self.step()?.checked_mul(steps.into())?)?;
             Some((steps, number, only(number)?))
         };
         (-reach..=reach).filter(|steps| *steps != 0).filter_map(frame).collect()
@@ -145,9 +179,9 @@ impl<T: PartialEq> NumberedFrames<T> {
 
 impl NumberedFrames<PathBuf> {
     /// All frames of a sequence.
-    pub fn of_files(files: &[FrameFile]) -> NumberedFrames<PathBuf> {
+    pub fn of_files<'a>(files: impl IntoIterator<Item = &'a FrameFile>) -> NumberedFrames<PathBuf> {
         let mut numbered = NumberedFrames::default();
-        for (number, path) in files.iter().filter_map(|file| Some((file.number()?, &file.path))) {
+        for (number, path) in files.into_iter().filter_map(|file| Some((file.number()?, &file.path))) {
             numbered.insert(number, path.clone());
         }
         numbered
@@ -159,6 +193,11 @@ impl NumberedFrames<PathBuf> {
             |(steps, number, path): (i32, i64, &PathBuf)| AroundFrame { steps, path: path.clone(), number };
         self.around(number, reach).into_iter().map(frame).collect()
     }
+}
+
+/// The difference between the numbers before and after one, from its differences to both.
+fn between(before: Option<i64>, after: Option<i64>) -> Option<i64> {
+    before?.checked_add(after?)
 }
 
 /// Hashes of files that were read to compare them, by path. Each frame of a sequence is hashed for those around it,
@@ -179,9 +218,7 @@ impl KnownHashes {
         {
             return Ok(*hash);
         }
-        let changed = || std::io::Error::other("the file changed while it was read");
-        let (bytes, stamp) = read_frame_unchanged(path, index_policy)?.ok_or_else(changed)?;
-        let hash = XxHash3_128::oneshot(&bytes);
+        let (hash, stamp) = hash_and_stamp(path, index_policy)?;
         let mut known = known();
         if known.len() >= HASHES_MAX {
             known.clear();
@@ -212,6 +249,9 @@ pub(crate) fn not_averaged(error: &FrameError) -> Warning {
     Warning::Frame(FrameWarning::NotAveraged { why: error.to_string() })
 }
 
+/// Recorded of a frame whose obstacles cannot be found.
+const MISSING_OBSTACLES: &str = "missing";
+
 fn content_of(
     around: &AroundFrame,
     obstacles: &ObstacleFiles,
@@ -221,12 +261,10 @@ fn content_of(
     let AroundFrame { path, number, .. } = around;
     let hash = hashes.of(path, index_policy);
     let hash = hash.map_err(|error| FrameError::file(path, Stage::Read, error))?;
-    let obstacles = obstacles.find(Some(*number)).map_err(|error| FrameError {
-        path: path.clone(),
-        during: Stage::Read,
-        cause: Cause::Obstacle(Box::new(error)),
-    })?;
-    Ok(FrameContent { path: path.clone(), hash, obstacles: obstacles.recorded() })
+    // Without its obstacles the frame will be left out when its level set is needed.
+    let obstacles =
+        obstacles.find(Some(*number)).map_or_else(|_| MISSING_OBSTACLES.to_owned(), |found| found.recorded());
+    Ok(FrameContent { path: path.clone(), hash, obstacles })
 }
 
 #[cfg(test)]
@@ -278,5 +316,26 @@ mod tests {
         assert!(!numbered.remove(7, &99) && numbered.remove(7, &7));
         assert_eq!(steps(&numbered), [-1, 1]);
         assert!(!numbered.remove(4, &4));
+        // A second frame of a number takes both from between the others, until one of them is gone.
+        assert!(numbered.insert(6, 60) && !numbered.insert(6, 61));
+        assert!(steps(&numbered).is_empty());
+        assert!(!numbered.remove(6, &60) && numbered.remove(6, &61));
+        assert_eq!(steps(&numbered), [1]);
+    }
+
+    #[test]
+    fn frames_may_come_until_all_numbers_after_a_frame_are_taken() {
+        let mut numbered = NumberedFrames::default();
+        assert!(!numbered.may_grow_after(1, 1));
+        numbered.insert(1, 1);
+        assert!(numbered.may_grow_after(1, 1));
+        numbered.insert(2, 2);
+        assert_eq!([1, 2].map(|number| numbered.may_grow_after(number, 1)), [false, true]);
+        assert!(numbered.may_grow_after(1, 2));
+        // Two frames with one number are averaged with none.
+        numbered.insert(2, 20);
+        assert_eq!([1, 2].map(|number| numbered.may_grow_after(number, 1)), [false, false]);
+        numbered.insert(i64::MAX, 9);
+        assert!(!numbered.may_grow_after(i64::MAX, 3));
     }
 }

@@ -110,6 +110,11 @@ impl AttributeRequest {
         AttributeRequest { filter: filter.cloned(), ..AttributeRequest::default() }
     }
 
+    /// What following the particles that meet the condition needs.
+    pub fn to_follow(filter: Option<&ParticleFilter>) -> AttributeRequest {
+        AttributeRequest { follows: true, ..AttributeRequest::positions_of(filter) }
+    }
+
     /// The same request, which also selects the particles' radii if the file has any.
     pub(crate) fn and_radius(self) -> AttributeRequest {
         AttributeRequest { selected: Some(AttributeSelection::Named(vec!["radius".to_owned()])), ..self }
@@ -229,7 +234,8 @@ pub(super) fn header(attribute: &FileAttribute) -> FileAttribute {
     FileAttribute { name: attribute.name.clone(), values, ..*attribute }
 }
 
-/// Converts a file's attribute for the method: 32-bit floats, colours from 0 to 1.
+/// Converts a file's attribute for the method: 32-bit floats, colours from 0 to 1, and ids as integers, which some
+/// programs write as floats.
 pub(super) fn attribute(attribute: FileAttribute) -> Attribute {
     let FileAttribute { name, arity, role, values } = attribute;
     let surface_role = match role {
@@ -241,6 +247,11 @@ pub(super) fn attribute(attribute: FileAttribute) -> Attribute {
         Some(AttributeRole::Normal | AttributeRole::Density | AttributeRole::Mass | AttributeRole::Kind)
         | None => Role::Other,
     };
+    if surface_role == Role::Id
+        && let Some(ids) = whole_numbers(&values)
+    {
+        return Attribute { name, role: surface_role, arity, values: AttributeValues::Integers(ids) };
+    }
     let is_color = surface_role == Role::Color;
     let values = match values {
         Values::F32(values) => AttributeValues::Numbers(values),
@@ -256,6 +267,17 @@ pub(super) fn attribute(attribute: FileAttribute) -> Attribute {
         Values::Strings { table, indices } => AttributeValues::Strings { table: Arc::from(table), indices },
     };
     Attribute { name, role: surface_role, arity, values }
+}
+
+/// Floats as integers, if all of them are whole and exact.
+fn whole_numbers(values: &Values) -> Option<Vec<i64>> {
+    const EXACT: f64 = 9_007_199_254_740_992.0; // 2⁵³
+    let whole = |value: f64| (value.fract() == 0.0 && value.abs() <= EXACT).then_some(value as i64);
+    match values {
+        Values::F32(values) => values.iter().map(|&value| whole(value.into())).collect(),
+        Values::F64(values) => values.iter().map(|&value| whole(value)).collect(),
+        Values::U8(_) | Values::I32(_) | Values::I64(_) | Values::Strings { .. } => None,
+    }
 }
 
 #[cfg(test)]

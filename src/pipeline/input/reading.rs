@@ -135,6 +135,11 @@ pub fn particles(positions: FilePositions) -> OwnedPositions {
 /// # Errors
 /// When it cannot be read, is not a regular file, has no such step, or changes during the read.
 pub fn hash_of_input(path: &Path) -> Result<u128, Error> {
+    Ok(hash_and_stamp(path, IndexPolicy::OnRead)?.0)
+}
+
+/// Like [`hash_of_input`], with the stamp of the file.
+pub(crate) fn hash_and_stamp(path: &Path, index_policy: IndexPolicy) -> Result<(u128, FileStamp), Error> {
     let changed = || io::Error::other("the file changed while it was read");
     let Some((file, step)) = step_of(path) else {
         let file = InputFile::open(path)?;
@@ -142,8 +147,8 @@ pub fn hash_of_input(path: &Path) -> Result<u128, Error> {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file").into());
         }
         let hash = file.hash()?;
-        return if file.is_unchanged()? { Ok(hash) } else { Err(changed().into()) };
+        return if file.is_unchanged()? { Ok((hash, file.stamp())) } else { Err(changed().into()) };
     };
-    let (bytes, _) = read_step(file, step, IndexPolicy::OnRead)?.ok_or_else(changed)?;
-    Ok(XxHash3_128::oneshot(&bytes))
+    let (bytes, stamp) = read_step(file, step, index_policy)?.ok_or_else(changed)?;
+    Ok((XxHash3_128::oneshot(&bytes), stamp))
 }

@@ -24,7 +24,6 @@ use crate::surface::reconstruction::FrameSurface;
 use crate::surface::temporal::{OtherFrame, TimedFrame};
 
 use super::read::{held_count, of_all_held};
-
 use super::{
     FinishedFrame, InputInfo, Outlet, Passed, ReadContent, StageContext, Stages, WorkItem, outcome_of,
 };
@@ -72,7 +71,7 @@ pub(super) struct Rasterized {
 /// A smoothed frame.
 pub(super) struct Smoothed {
     staged: StagedInput,
-    /// The frame as others are averaged with it, if it is averaged with others.
+    /// What others need of the frame to be averaged with it, if it is averaged with others.
     timed: Option<Arc<TimedFrame>>,
 }
 
@@ -198,6 +197,8 @@ fn others(
 fn is_of_content(cause: &Cause) -> bool {
     match cause {
         Cause::File(error) => !matches!(error, Error::Io(_) | Error::MemoryLimit { .. }),
+        // The record says that the obstacles are missing.
+        Cause::Obstacle(_) => true,
         cause => matches!(cause, Cause::Missing(_) | Cause::VoxelTooSmall(_) | Cause::Panic(_)),
     }
 }
@@ -229,7 +230,7 @@ fn smoothed_alone(
     Ok(timed)
 }
 
-/// The frame as others are averaged with it.
+/// What others need of a frame to be averaged with it.
 fn timed(staged: &StagedInput, moving: MovingParticles, settings: &Settings) -> Option<Arc<TimedFrame>> {
     let band = Arc::new(staged.band()?.clone());
     Some(Arc::new(TimedFrame::new(band, moving, settings.spacing)))

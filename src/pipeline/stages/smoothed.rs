@@ -83,6 +83,8 @@ impl SmoothedFrames {
         count: usize,
     ) {
         let mut state = self.state();
+        // A frame that was smoothed alone may come through the pipeline, too.
+        state.kept.retain(|kept| kept.content != content || !Arc::ptr_eq(&kept.settings, settings));
         state.kept.push_back(Kept { content, settings: Arc::clone(settings), frame });
         let mut bytes: u64 = state.kept.iter().map(|kept| kept.frame.size_bytes()).sum();
         while state.kept.len() > count + 1 || state.kept.len() > 1 && bytes > self.limit_bytes {

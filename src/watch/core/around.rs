@@ -6,14 +6,13 @@
 //!   done ──▶ a frame around it came, or was converted from another content ──▶ held
 //! ```
 //!
-//! A frame that came while its conversion was in progress is compared with the record afterwards. A frame is
-//! converted again once for each state of the frames around it, so two that disagree about a third one do not take
-//! turns forever.
+//! Every frame is compared with its record when its conversion ends. A frame is converted again once for each state
+//! of the frames around it, so that an error that lasts does not convert it again and again.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use crate::pipeline::{AroundFrame, DoneRecord, Job, Reason, RecordedAround, UnfinishedState};
+use crate::pipeline::{AroundFrame, Job, Reason, RecordedAround, UnfinishedState};
 use crate::surface::options::Settings;
 
 use super::frames::{FrameId, FramePhase, FrameState};
@@ -51,7 +50,7 @@ impl Core {
     }
 
     /// Other frames than before are around the frames of a sequence.
-    fn doubt_all(&mut self, sequence: usize) {
+    pub(super) fn doubt_all(&mut self, sequence: usize) {
         let done = |frame: &FrameState| frame.sequence == sequence && frame.phase == FramePhase::Done;
         self.doubtful_around.extend(self.frames.ids_of(|_, frame| done(frame)));
     }
@@ -61,12 +60,13 @@ impl Core {
         let Some(frame) = self.frames.get(id).filter(|_| reach > 0) else { return Vec::new() };
         let around = self.sequences.get(frame.sequence).numbered.around(self.number_of(id), reach);
         let around = around.into_iter().map(|(steps, number, id)| (steps, number, id.clone()));
-        around.filter(|(.., id)| self.may_be_particles(id)).collect()
+        around.filter(|(.., id)| self.is_frame(id)).collect()
     }
 
-    /// Whether a file is a frame, as far as is known.
-    fn may_be_particles(&self, id: &FrameId) -> bool {
-        !matches!(self.frames.phase(id), None | Some(FramePhase::Ignored | FramePhase::Steps))
+    /// Whether a file counts as a frame. One that turned out not to be particles does, as for `convert`: it keeps
+    /// its place in the sequence.
+    fn is_frame(&self, id: &FrameId) -> bool {
+        !matches!(self.frames.phase(id), None | Some(FramePhase::Steps))
     }
 
     /// The complete frames that a frame is averaged with.
@@ -118,8 +118,8 @@ impl Core {
         if around.iter().any(|(.., id)| is_coming(id)) {
             return true;
         }
-        let after_count = around.iter().filter(|(steps, ..)| *steps > 0).count();
-        !self.config.once && self.number_of(id).is_some() && after_count < reach as usize
+        let Some((frame, number)) = self.frames.get(id).zip(self.number_of(id)) else { return false };
+        !self.config.once && self.sequences.get(frame.sequence).numbered.may_grow_after(number, reach)
     }
 
     /// Whether all that a root has is known, or cannot be known because it hangs.
@@ -152,17 +152,15 @@ impl Core {
                 self.release(&id);
             }
         }
-        // Which frames are complete is known once all inspections have ended.
-        if self.frames.is_inspecting(None) {
-            return;
-        }
         for id in std::mem::take(&mut self.doubtful_around) {
-            match self.frames.phase(&id) {
-                Some(FramePhase::Done) if self.was_scanned(id.root) => self.convert_if_changed_around(&id),
-                Some(FramePhase::Done | FramePhase::Queued | FramePhase::InProgress) => {
-                    self.doubtful_around.insert(id);
-                }
-                _ => {}
+            let Some(FrameState { phase: FramePhase::Done, sequence, .. }) = self.frames.get(&id) else {
+                continue;
+            };
+            // Which frames are complete is known once all inspections have ended.
+            if self.frames.is_inspecting(Some(*sequence)) || !self.was_scanned(id.root) {
+                self.doubtful_around.insert(id);
+            } else {
+                self.convert_if_changed_around(&id);
             }
         }
     }
@@ -173,27 +171,27 @@ impl Core {
         let Some(reach) = self.reach_of(id) else { return };
         let done = |id: &FrameId| self.record_of(id).and_then(|record| record.done.as_ref());
         let Some(recorded) = done(id).map(|record| record.around.clone()) else { return };
+        let place = |around: &RecordedAround| (around.steps, around.name.clone());
         let complete = self.known_around(id, reach).into_iter().filter(|(.., id)| self.is_complete(id));
         let current: Vec<RecordedAround> = complete
             .map(|(steps, number, around)| {
                 let frame = AroundFrame { steps, path: around.path.to_path_buf(), number };
-                let known =
-                    |record: &Arc<DoneRecord>| frame.recorded(Some(record.input_hash), &record.obstacles);
                 let is_done = self.frames.phase(&around) == Some(FramePhase::Done);
-                done(&around).filter(|_| is_done).map_or_else(|| frame.recorded(None, ""), known)
+                if let Some(record) = done(&around).filter(|_| is_done) {
+                    return frame.recorded(Some(record.input_hash), &record.obstacles);
+                }
+                // The content of a frame that is not done is not known.
+                let unknown = frame.recorded(None, "");
+                let known = recorded.iter().find(|recorded| place(recorded) == place(&unknown));
+                known.cloned().unwrap_or(unknown)
             })
             .collect();
-        let place = |around: &RecordedAround| (around.steps, around.name.clone());
-        // The content of a frame that is not done is not known.
-        let is_missing = |around: &RecordedAround| match around.hash {
-            0 => !recorded.iter().any(|recorded| place(recorded) == place(around)),
-            _ => !recorded.contains(around),
-        };
         let is_elsewhere = |recorded: &RecordedAround| {
             !current.iter().any(|around| place(around) == place(recorded))
                 && self.exists_beside(id, &recorded.name)
         };
-        let is_other = current.iter().any(is_missing) || recorded.iter().any(is_elsewhere);
+        let is_other =
+            current.iter().any(|around| !recorded.contains(around)) || recorded.iter().any(is_elsewhere);
         let Some(frame) = self.frames.get_mut(id).filter(|_| is_other) else { return };
         if frame.tried_around == current {
             return;
@@ -211,6 +209,6 @@ impl Core {
         let folder: PathBuf = id.file_path().parent().map_or_else(PathBuf::new, PathBuf::from);
         let path = folder.join(name);
         let beside = if id.is_step() { FrameId::step(id.root, &path) } else { FrameId::new(id.root, &path) };
-        self.is_complete(&beside)
+        beside != *id && self.is_complete(&beside)
     }
 }

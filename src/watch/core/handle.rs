@@ -69,7 +69,9 @@ impl Core {
     /// Gives frames to the pipeline, if it has asked for some.
     fn start_frames(&mut self) {
         while self.requested_count > 0 && !self.is_stopping && self.guard.reason().is_none() {
-            let Some((id, frame)) = self.queue.pop() else { return };
+            let Some((id, mut frame)) = self.queue.pop() else { return };
+            // More of them may have come since the frame was queued.
+            frame.around = self.frames_around(&id, &frame.settings);
             self.requested_count -= 1;
             if let Some(state) = self.frames.get_mut(&id) {
                 state.phase = FramePhase::InProgress;
@@ -103,10 +105,10 @@ impl Core {
 
     fn on_output_folder_checked(&mut self, found: OutputFolderState) {
         let OutputFolderState { output, presence, free_bytes } = found;
-        let dir = &mut self.output_folders[output];
-        (dir.is_mounted, dir.free_bytes) = (presence != Presence::Missing, free_bytes);
+        let output = &mut self.output_folders[output];
+        (output.is_mounted, output.free_bytes) = (presence != Presence::Missing, free_bytes);
         if presence == Presence::Recreated {
-            let folder = dir.folder.clone();
+            let folder = output.folder.clone();
             self.log_about(
                 folder,
                 |folder| tracing::warn!(%folder, "output folder was removed and created again"),

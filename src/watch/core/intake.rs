@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 use meniscus_formats::Neighbor;
 
 use crate::pipeline::{
-    ChangedOutput, DoneRecord, FileStamp, Frame, FrameError, Job, ObstacleStamps, OutputOptions, Reason,
+    ChangedOutput, DoneRecord, FileStamp, Frame, FrameError, ObstacleStamps, OutputOptions, Reason,
     RecordedFrame, Stage, UnfinishedState, output_path, step_in,
 };
 use crate::surface::options::Settings;
@@ -92,7 +92,7 @@ impl Core {
         if self.failed.get(id).is_some_and(|failure| failure.is_refusal) {
             self.check_refusal(id);
         } else {
-            self.inspect(id, None, None);
+            self.inspect(id, None);
         }
     }
 
@@ -187,7 +187,7 @@ impl Core {
                 && path_of_sentinel(watch, &id.path) == path
         };
         for id in self.frames.ids_of(is_waiting) {
-            self.inspect_candidate(&id);
+            self.inspect_settling(&id, InspectionExtent::All);
         }
     }
 
@@ -206,7 +206,7 @@ impl Core {
     pub(super) fn start_over(&mut self, id: &FrameId) {
         let Some(stamp) = self.frames.get(id).map(|frame| frame.stamp) else { return };
         self.start_settling(id, Candidate::new(self.now.at, &Seen { stamp, age: None }, FileHint::Changed));
-        self.inspect_candidate(id);
+        self.inspect_settling(id, InspectionExtent::All);
     }
 
     fn unqueue(&mut self, id: &FrameId) {
@@ -306,19 +306,15 @@ impl Core {
     /// The alarm of a frame is due.
     pub(super) fn on_alarm(&mut self, id: &FrameId) {
         match self.frames.phase(id) {
-            Some(FramePhase::Settling(_)) => self.inspect_candidate(id),
+            Some(FramePhase::Settling(_)) => self.inspect_settling(id, InspectionExtent::All),
             Some(FramePhase::Retrying(at)) if at > self.now.at => self.frames.set_alarm(id, at),
-            Some(FramePhase::Retrying(_)) => self.inspect(id, None, None),
+            Some(FramePhase::Retrying(_)) => self.inspect(id, None),
             _ => {}
         }
     }
 
     /// Inspects a file that may be incomplete.
-    pub(super) fn inspect_candidate(&mut self, id: &FrameId) {
-        self.inspect_settling(id, InspectionExtent::All);
-    }
-
-    fn inspect_settling(&mut self, id: &FrameId, extent: InspectionExtent) {
+    pub(super) fn inspect_settling(&mut self, id: &FrameId, extent: InspectionExtent) {
         if let Some(frame) = self.frames.get(id)
             && let FramePhase::Settling(candidate) = frame.phase
         {
@@ -335,11 +331,11 @@ impl Core {
     pub(super) fn check_outputs(&mut self, id: &FrameId) {
         // This inspection may replace one that was to read the file again.
         if self.frames.get(id).is_some_and(|frame| frame.was_closed) {
-            return self.inspect(id, None, None);
+            return self.inspect(id, None);
         }
         if let Some(record) = self.record_of(id).filter(|_| self.output_folder(id.root).is_mounted).cloned() {
             // The settings are current, and obstacles are inspected separately.
-            self.inspect(id, None, Some(Recorded { record, checks_obstacles: false }));
+            self.inspect(id, Some(Recorded { record, checks_obstacles: false }));
         }
     }
 
@@ -350,7 +346,7 @@ impl Core {
         let owner = self.claims.get(&self.claimed_stem(id));
         let is_owned = owner.is_some_and(|owner| owner != id && self.may_exist(owner));
         if is_refused && !is_owned && self.output_folder(id.root).is_mounted {
-            self.inspect(id, None, None);
+            self.inspect(id, None);
         }
     }
 
@@ -360,9 +356,9 @@ impl Core {
     }
 
     /// Inspects a file: first its record and outputs, then whether it is complete, then its kind.
-    pub(super) fn inspect(&mut self, id: &FrameId, candidate: Option<Candidate>, recorded: Option<Recorded>) {
+    pub(super) fn inspect(&mut self, id: &FrameId, recorded: Option<Recorded>) {
         let outputs = self.output_paths(id);
-        self.request_inspection(id, InspectionExtent::All, outputs, candidate, recorded);
+        self.request_inspection(id, InspectionExtent::All, outputs, None, recorded);
     }
 
     fn request_inspection(
@@ -592,9 +588,11 @@ impl Core {
     }
 
     fn enqueue(&mut self, id: &FrameId, settings: Arc<Settings>) {
-        let around = self.frames_around(id, &settings);
         let Some(frame) = self.frames.get_mut(id) else { return };
         frame.waits_since = None;
+        if frame.reason != Some(Reason::FramesAroundChanged) {
+            frame.tried_around.clear();
+        }
         let modified_ns = frame.stamp.modified_ns;
         let sequence = self.sequences.get(frame.sequence);
         frame.obstacle_stamp = frame.obstacles.as_deref().map(obstacle_stamp);
@@ -602,20 +600,10 @@ impl Core {
         let framing = sequence.framing.clone();
         let reason = frame.reason.clone();
         let file = id.frame_file(self.root_path(id.root));
-        let frame = Frame {
-            input: id.path.to_path_buf(),
-            job: Job::of(&id.path),
-            stem: file.stem(),
-            settings,
-            outputs: self.output_options(id),
-            number: file.number(),
-            obstacles: Arc::clone(&self.roots[id.root].obstacles),
-            around,
-            framing,
-            obstacle_stamp,
-            // The thread of the pipeline adds them: `io/pipeline.rs`.
-            records: None,
-        };
+        let outputs = self.output_options(id);
+        // The thread of the pipeline adds the records: `io/pipeline.rs`.
+        let obstacles = Arc::clone(&self.roots[id.root].obstacles);
+        let frame = Frame { obstacles, framing, obstacle_stamp, ..Frame::new(&file, &settings, &outputs) };
         self.set_phase(id, FramePhase::Queued);
         self.record_state(id, UnfinishedState::Queued, reason, None);
         self.queue.push(id, Box::new(frame), modified_ns);
@@ -662,7 +650,7 @@ impl Core {
             if let Some(frame) = self.frames.get_mut(&id) {
                 frame.attempt_count = 0;
             }
-            self.inspect(&id, None, None);
+            self.inspect(&id, None);
         }
     }
 

@@ -133,6 +133,9 @@ impl Core {
             let log = self.log_of_settings(index, headline, warnings);
             self.record_sequence(root, key, record, log);
             self.changed_sequences.push(index);
+            if self.averages(root) {
+                self.doubt_all(index);
+            }
             for id in
                 self.frames.ids_of(|_, frame| frame.sequence == index && frame.phase == FramePhase::Held)
             {

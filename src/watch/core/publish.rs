@@ -8,7 +8,7 @@ use std::sync::Arc;
 use serde_json::{Value, json};
 
 use crate::pipeline::{
-    DoneRecord, Job, RecordedFrame, SequenceRecord, UnfinishedRecord, UnfinishedState, text_of_name,
+    DoneRecord, Job, Reason, RecordedFrame, SequenceRecord, UnfinishedRecord, UnfinishedState, text_of_name,
 };
 use crate::watch::config::{Order, Poll, Watch, WatchConfig};
 use crate::watch::status_store::{
@@ -176,7 +176,10 @@ fn state_of(phase: FramePhase) -> Option<FrameProgress> {
 /// Whether a record applies to the frame in its current phase.
 fn is_about(record: &UnfinishedRecord, phase: FramePhase) -> bool {
     match record.state {
-        UnfinishedState::Waiting => matches!(phase, FramePhase::Settling(_) | FramePhase::Held),
+        UnfinishedState::Waiting => {
+            let is_held_for_others = phase == FramePhase::Held && record.reason == Some(Reason::FramesAround);
+            is_held_for_others || matches!(phase, FramePhase::Settling(_))
+        }
         UnfinishedState::Queued => {
             matches!(phase, FramePhase::Queued | FramePhase::InProgress | FramePhase::Held)
         }

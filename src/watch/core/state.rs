@@ -246,10 +246,10 @@ impl Core {
         let found: Vec<FoundSpace<'_>> = self
             .output_folders
             .iter()
-            .map(|dir| FoundSpace {
-                folder: &dir.folder,
-                is_mounted: dir.is_mounted,
-                free_bytes: dir.free_bytes,
+            .map(|OutputFolder { folder, is_mounted, free_bytes, .. }| FoundSpace {
+                folder,
+                is_mounted: *is_mounted,
+                free_bytes: *free_bytes,
             })
             .collect();
         self.guard.check(&found, self.now.at);

@@ -21,7 +21,7 @@ use std::time::Instant;
 use crate::pipeline::{FileFrames, FileStamp, Reason};
 
 use super::completeness::{Candidate, FileHint, Seen};
-use super::events::{Effect, FoundSteps, SlowRequest, StepsOrder};
+use super::events::{Effect, FoundSteps, InspectionExtent, SlowRequest, StepsOrder};
 use super::frames::{FileSteps, FrameId, FramePhase};
 use super::state::Core;
 
@@ -97,7 +97,7 @@ impl Core {
             _ => {}
         }
         self.start_settling(id, candidate);
-        self.inspect_candidate(id);
+        self.inspect_settling(id, InspectionExtent::All);
     }
 
     /// The file of a step was seen.

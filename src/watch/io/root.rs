@@ -347,6 +347,7 @@ impl Work for Root {
 
     fn handle(&mut self, request: RootRequest, report: &dyn Fn(Event)) {
         match request {
+            // The worker calls `on_time` right after this.
             RootRequest::Scan => self.next_scan = Instant::now(),
             RootRequest::Inspect(request) => {
                 let started = Instant::now();

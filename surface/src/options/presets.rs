@@ -179,7 +179,6 @@ impl Preset {
                 anisotropy: AnisotropyKind::None,
                 position_smoothing: 0.0,
                 laplacian_steps: 1.6,
-                steps: 1,
                 step_size: 0.125,
                 explicit_time: 0.125,
                 ..FLUID

@@ -38,7 +38,7 @@ use crate::grid::{LEAF_VOXELS, Leaf, voxel_in_leaf};
 use crate::level_set::NarrowBand;
 use crate::motion::{MovingParticles, TrackedParticles};
 use crate::parallel::Loops as _;
-use crate::particles::{Positions, Shapes};
+use crate::particles::{Attribute, Positions, Shapes};
 use crate::space::Lattice;
 use moves::{COMPONENTS, moves};
 use sample::Sampler;
@@ -132,29 +132,27 @@ pub fn average(
 ) -> TemporalReport {
     let spacing_voxels = (config.spacing / config.lattice.voxel_size) as f32;
     let half_width = HALF_WIDTH.min(band.half_width - 1.0);
-    let carried: Vec<Carried> = others
-        .iter()
-        .filter_map(|other| {
-            let moves = moves(&particles.particles, other, config)?;
-            let support = Support {
-                radius_world: RADII * config.spacing,
-                radius_max_world: RADII * config.spacing,
-                margin_world: 0.0,
-                shapes: &Shapes::Uniform,
-            };
-            let positions = Positions::from(particles.particles.positions());
-            let (mut found, _) =
-                interpolate_to_band(positions, &[&moves], band, &config.lattice, half_width, support);
-            Some(Carried {
-                moves: found.pop()?,
-                band: &other.frame.band,
-                weight: binomial(config.frames, other.steps),
-            })
-        })
-        .collect();
-    if carried.is_empty() {
+    let followed =
+        others.iter().filter_map(|other| Some((other, moves(&particles.particles, other, config)?)));
+    let (followed, moves): (Vec<&OtherFrame>, Vec<Attribute>) = followed.unzip();
+    if followed.is_empty() {
         return TemporalReport::default();
     }
+    let support = Support {
+        radius_world: RADII * config.spacing,
+        radius_max_world: RADII * config.spacing,
+        margin_world: 0.0,
+        shapes: &Shapes::Uniform,
+    };
+    let positions = Positions::from(particles.particles.positions());
+    let moves: Vec<&Attribute> = moves.iter().collect();
+    let (moves, _) = interpolate_to_band(positions, &moves, band, &config.lattice, half_width, support);
+    let carried = followed.iter().zip(moves).map(|(other, moves)| Carried {
+        moves,
+        band: &other.frame.band,
+        weight: binomial(config.frames, other.steps),
+    });
+    let carried: Vec<Carried> = carried.collect();
     let origins = band.topology.origins();
     let leaves = band.phi.leaves.par_iter_mut().zip(origins).enumerate().halved();
     let parts: Vec<Changes> = leaves

@@ -5,7 +5,7 @@
 //!   meniscus.toml ────────┤             every other option overrides its key in every block
 //!   defaults ─────────────┘
 //!                         ▼
-//!                      Config           absolute paths; consistent numbers
+//!                      WatchPlan        absolute paths; consistent numbers
 //! ```
 
 use std::collections::HashSet;
