@@ -2,8 +2,9 @@
 //!
 //! ```text
 //!   17 0.11 0.52 0.34        a different integer in each row, then numbers with fractions: an id
-//!   0 0 0 0.05               the first column counts, and the others do not show whether it is an id:
+//!   0 0 0 0.05               the first column counts up by 1, and the others do not show whether it is an id:
 //!   1 0 0 0.05               unclear
+//!   1 0.11 0.52              counts up, then only two fractions: unclear
 //!   0.5 0.5 0.5 7            a coordinate
 //! ```
 //!
@@ -20,11 +21,12 @@ pub(crate) enum FirstColumn {
 /// Number of rows that are examined.
 pub(crate) const ROWS_MAX: usize = 1000;
 
-/// With fewer rows, integers may be coordinates.
+/// With fewer rows the first column is a coordinate: a few integers may differ by chance.
 const ROWS_MIN: usize = 4;
 
 impl FirstColumn {
-    /// Judges by the first four numbers of each row, of `column_count`; NaN for what is not a number.
+    /// Judges by the first four numbers of each row of a table with this many columns; NaN where there is no
+    /// number.
     pub(crate) fn of(rows: impl Iterator<Item = [f64; 4]>, column_count: usize) -> FirstColumn {
         let rows: Vec<[f64; 4]> = rows.take(ROWS_MAX).collect();
         let mut ids: Vec<f64> = rows.iter().map(|row| row[0]).collect();
@@ -38,9 +40,10 @@ impl FirstColumn {
             |&column: &usize| rows.iter().any(|row| row[column].is_finite() && row[column].fract() != 0.0);
         let fraction_count = (1..4.min(column_count)).filter(has_fractions).count();
         match column_count {
+            // Of three columns, an id leaves only two for the position.
             3 if is_count && fraction_count == 2 => FirstColumn::Unclear,
             4.. if are_different && fraction_count == 3 => FirstColumn::Id,
-            4.. if is_count || are_different && fraction_count > 0 => FirstColumn::Unclear,
+            4.. if is_count || (are_different && fraction_count > 0) => FirstColumn::Unclear,
             _ => FirstColumn::Coordinate,
         }
     }

@@ -109,7 +109,7 @@ fn invalid_xml_is_an_error() {
             good.replace("format=\"binary\"", "format=\"appended\" offset=\"7\""),
             "should be appended, but the file has no appended data",
         ),
-        (good.replace("format=\"binary\"", "format=\"ascii\""), "expected a value of its type, found `"),
+        (good.replace("format=\"binary\"", "format=\"ascii\""), "is not a value of the array's type"),
         (good.replace("eJ", "!!"), "is not valid base64"),
         (good[..cut].to_string(), "the file ends without </VTKFile>"),
     ];
@@ -147,21 +147,34 @@ fn last_block_larger_than_the_others_is_an_error() {
     for (compressor, packed) in
         [("ZLib", zlib_packed(&vec![0; 64 << 20])), ("LZMA", xz_packed(&vec![0; 64 << 20]))]
     {
-        let mut bytes = format!(
-            "<VTKFile type=\"PolyData\" header_type=\"UInt64\" compressor=\"vtk{compressor}DataCompressor\"><PolyData>\
-             <Piece NumberOfPoints=\"1\"><Points><DataArray type=\"UInt8\" NumberOfComponents=\"3\" format=\"appended\" \
-             offset=\"0\"/></Points></Piece></PolyData><AppendedData encoding=\"raw\">_"
-        )
-        .into_bytes();
-        bytes.extend([1, 1, 64 << 20, packed.len() as u64].iter().flat_map(|number| number.to_le_bytes()));
-        bytes.extend(packed);
-        bytes.extend(b"</AppendedData></VTKFile>");
+        let bytes = one_compressed_array(compressor, &[1, 1, 64 << 20, packed.len() as u64], &packed);
         let error = vtk::read_xml(&bytes, &Limits::default()).unwrap_err().to_string();
         assert!(
             error.contains("the last block has 67108864 bytes, more than the block size of 1"),
             "{error}"
         );
     }
+}
+
+#[test]
+fn more_blocks_than_the_file_has_room_for_are_an_error() {
+    let bytes = one_compressed_array("ZLib", &[1000, 1, 0], &[]);
+    let error = vtk::read_xml(&bytes, &Limits::default()).unwrap_err().to_string();
+    assert!(error.contains("expected at least 8024 bytes of "), "{error}");
+}
+
+/// A file with one point, whose compressed array has this header.
+fn one_compressed_array(compressor: &str, header: &[u64], packed: &[u8]) -> Vec<u8> {
+    let mut bytes = format!(
+        "<VTKFile type=\"PolyData\" header_type=\"UInt64\" compressor=\"vtk{compressor}DataCompressor\"><PolyData>\
+         <Piece NumberOfPoints=\"1\"><Points><DataArray type=\"UInt8\" NumberOfComponents=\"3\" format=\"appended\" \
+         offset=\"0\"/></Points></Piece></PolyData><AppendedData encoding=\"raw\">_"
+    )
+    .into_bytes();
+    bytes.extend(header.iter().flat_map(|number| number.to_le_bytes()));
+    bytes.extend(packed);
+    bytes.extend(b"</AppendedData></VTKFile>");
+    bytes
 }
 
 const HEAD: &str = "# vtk DataFile Version 3.0\na title\nASCII\nDATASET POLYDATA\n";

@@ -30,7 +30,7 @@ class OptionValues(TypedDict, total=False):
     radius_init : float | str
         Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.5 r_min, or less if r_min is raised for coarse voxels]
     offset : float | str
-        Move the finished surface outward by this distance, -r_min to 2 h; negative moves it inward [default: 0]
+        Move the finished surface outward by this distance, -r_min to 2h; negative moves it inward [default: 0]
     where : str | Sequence[bool] | NDArray[np.bool_]
         Use only the particles whose attributes meet this condition, such as 'phase == 0' or 'type in 1,2 and not (density < 500)'; comparisons are ==, !=, <, <=, >, >=, in and not in
     radius_attribute : str
@@ -42,27 +42,27 @@ class OptionValues(TypedDict, total=False):
     max_stretch : float
         Maximum ratio of a particle's longest semi-axis to its shortest, 1 to 8 [default: 4]
     thin_radius : float | str
-        Smallest semi-axis of flattened particles, 0.9 h to r_min, for `anisotropy` neighbors; smaller makes thinner sheets [default: 0.36d]
+        Smallest semi-axis of flattened particles, 0.9h to r_min, for `anisotropy` neighbors; smaller makes thinner sheets [default: 0.36d]
     lone_radius : float | str
-        Radius of particles without neighbours (drops), which replaces their r_min, positive and at most `radius_min`, for `anisotropy` neighbors [default: 0.63d]
+        r_min of particles without neighbours (drops), positive and at most `radius_min`; for `anisotropy` neighbors [default: 0.63d]
     neighbor_radius : float | str
         Search radius for neighbours, positive and at most 200h, for `anisotropy` neighbors and `position_smoothing` [default: 2.8d]
     position_smoothing : float
-        Move particles near the surface toward the mean of their neighbours by this fraction, 0 to 1 [default: 0.55]
+        Move particles near the surface toward the mean of their neighbours by this fraction of the distance, 0 to 1 [default: 0.55]
     velocity_gain : float
-        Stretch particles along their velocity: the farther they move in this time, the more; positive, for `anisotropy` velocity [default: 0.01]
+        Stretch particles along their velocity by their motion in this time, relative to r_min: longer stretches more; positive, for `anisotropy` velocity [default: 0.01]
     void_threshold : float
         Fill gaps narrower than this between the surface and obstacles, in voxels, 0 to 4 [default: 1]
     velocity_scale : float
-        Multiply velocities by this factor, and accelerations by its square, 1e-9 to 1e9; for velocities per frame it is the frame rate, so that they are per second [default: 1]
+        Multiply velocities by this factor, and accelerations by its square, 1e-9 to 1e9. If velocities are per frame, give the frame rate [default: 1]
     temporal : int
-        Average each surface with those of this many frames before and after it, along the motion of the particles, 0 to 3; particles are followed by ids, or by velocities with `time_step` [default: 0]
+        Average each surface with those of this many frames before and after it, along the motion of the particles, 0 to 3; particles are followed by their ids or, with `time_step`, by their velocities [default: 0]
     time_step : float
         Seconds between two frames, 1e-9 to 1e9, for `temporal` with particles that have velocities and no ids
     drop_islands : int
         Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]
     fill_cavities : float
-        Fill enclosed cavities with less volume than this, in units of h³, 0 to 1000000 [default: 25 (d/h)³, a volume of 25 d³]
+        Fill enclosed cavities with less volume than this, in units of h³, 0 to 1000000 [default: 25 (d/h)³, which is 25 d³]
     clip : str | Sequence[float]
         Cut off everything outside the box x0,y0,z0,x1,y1,z1 (lower corner first), in the particles' unit of length
     contour : Literal["dual", "tetrahedra"]
@@ -76,7 +76,7 @@ class OptionValues(TypedDict, total=False):
     integrator : Literal["fast", "implicit", "explicit", "adaptive"]
         Time integrator of the smoothing [default: fast]
     laplacian_steps : int
-        Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are recomputed instead [default: 3 (d/h)², 29 on the default grid]
+        Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are recomputed in their place [default: 3 (d/h)², 29 on the default grid]
     steps : int
         Number of biharmonic steps, 0 to 1000000 [default: 1; explicit, adaptive: a larger number of smaller steps with the same total pseudo-time]
     step_size : float

@@ -170,7 +170,7 @@ impl<'a> Batch<'a> {
                     self.record.add_failed(input, *sequence_index, why);
                     self.fail(format!("{}: {why}", shown(input)));
                 }
-                Ok(_) | Err(_) => {
+                _ => {
                     self.record.add_not_started(input, *sequence_index);
                     self.outcomes.not_started_count += 1;
                 }

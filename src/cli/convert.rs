@@ -32,7 +32,7 @@ use super::inputs::{
 use super::machine::thread_pool;
 use super::sequence::SequenceOutputs;
 use super::settings::{
-    measured_spacing, obstacle_files, outputs_of, print_settings, print_settings_of_any, report_settings,
+    measure_if_needed, obstacle_files, outputs_of, print_settings, print_settings_of_any, report_settings,
     settings_of, surface_job, warn_of, warn_of_ignored, warn_of_siblings,
 };
 use super::wording::{option_names, pluralize};
@@ -83,6 +83,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         job
     };
     if args.print_settings {
+        // As above, this refuses the sequence files that a conversion would refuse.
         SequenceOutputs::new(args, &outputs, selection.sequences.len())?;
         let pool = thread_pool(args.run.threads)?;
         print_settings(&selection.sequences, job, &args.method, &outputs, &pool, console)?;
@@ -235,7 +236,7 @@ impl ConvertPlan {
         let mut measured = None;
         let settings = match self.job {
             Job::Surface => {
-                let spacing = batch.pool.install(|| measured_spacing(sequence, &self.options, console));
+                let spacing = batch.pool.install(|| measure_if_needed(sequence, &self.options, console));
                 measured = match spacing {
                     Ok(measured) => measured,
                     Err(error) => {
@@ -260,6 +261,7 @@ impl ConvertPlan {
             }
             Job::LevelSet { .. } => Settings::for_level_sets(&self.options)?,
             Job::Particles => {
+                // Of these settings only the condition is used.
                 let r#where = self.options.r#where.clone();
                 Settings::for_level_sets(&MethodOptions { r#where, ..MethodOptions::default() })?
             }

@@ -22,6 +22,19 @@ struct StepRange {
 }
 
 impl StepRange {
+    /// The range as given, unchecked; the step is 1 if none is given. `None` if a number is too large or not a
+    /// number.
+    fn parse(text: &str) -> Option<StepRange> {
+        let (range, step) = match text.split_once(['x', 'X']) {
+            Some((range, step)) => (range, parse_number(step)?),
+            None => (text, 1),
+        };
+        // A minus at the start is a sign; the next one is between the numbers.
+        let dash = range.char_indices().skip(1).find(|(_, c)| *c == '-').map(|(at, _)| at);
+        let (first, last) = dash.map_or((range, range), |at| (&range[..at], &range[at + 1..]));
+        Some(StepRange { first: parse_number(first)?, last: parse_number(last)?, step })
+    }
+
     fn contains(&self, number: i64) -> bool {
         (self.first..=self.last).contains(&number) && number.abs_diff(self.first).is_multiple_of(self.step)
     }
@@ -42,10 +55,10 @@ impl fmt::Display for StepRange {
     }
 }
 
-/// The numbers of missing frames of a sequence file, as text, and their count. They are counted in steps of
-/// the greatest common divisor of the differences between the numbers. The frame before a missing one is
-/// held. `None` if no frame is missing, or if the numbers do not increase: the frames are then counted.
-pub(super) fn held_gaps(numbers: &[i64]) -> Option<(String, u64)> {
+/// The numbers that a sequence file lacks, as text such as `3-7,20`, and how many they are: multiples of the
+/// [common step](common_step) between existing numbers. `None` if none is missing, or if the numbers do not
+/// increase: then frames are counted from 1.
+pub(super) fn missing_numbers(numbers: &[i64]) -> Option<(String, u64)> {
     let is_increasing = numbers.is_sorted_by(|one, next| one < next);
     is_increasing.then(|| gaps_in_steps(numbers, common_step(numbers))).flatten()
 }
@@ -71,21 +84,19 @@ fn gaps_in_steps(numbers: &[i64], step: u64) -> Option<(String, u64)> {
 /// Maximum number of gaps that are named.
 const GAPS_NAMED: usize = 8;
 
-/// Longer ranges are not searched for missing numbers: `0-999999999` means "all existing frames".
-const SEARCHED_MAX: u64 = 100_000;
+/// A longer range that selects any frame means "all existing frames": nothing in it is missing.
+const CHECKED_MAX: u64 = 100_000;
 
 impl FrameSelection {
     /// The selected ranges with numbers that are missing in `numbers`, and the count of the missing numbers.
     pub(super) fn missing(&self, numbers: &HashSet<i64>) -> Vec<(String, u64)> {
         let missing = |range: &StepRange| {
-            let named = range.count();
             let existing_count = numbers.iter().filter(|&&number| range.contains(number)).count() as u64;
-            (
-                range.to_string(),
-                if named <= SEARCHED_MAX || existing_count == 0 { named - existing_count } else { 0 },
-            )
+            let means_all = range.count() > CHECKED_MAX && existing_count > 0;
+            if means_all { 0 } else { range.count() - existing_count }
         };
-        self.ranges.iter().map(missing).filter(|&(_, count)| count > 0).collect()
+        let counted = self.ranges.iter().map(|range| (range.to_string(), missing(range)));
+        counted.filter(|&(_, count)| count > 0).collect()
     }
 
     /// Whether a frame is selected. Without a selection, all frames are.
@@ -108,7 +119,7 @@ impl FromStr for FrameSelection {
 }
 
 fn parse_range(text: &str) -> Result<StepRange, String> {
-    let what = "a selection of frames: give a number such as 12, a range such as 1-240 or -24-240, every other frame of a range \
+    let what = "a selection of frames: give a number such as 12, a range such as 1-240, or -24-240 for -24 to 240, every other frame of a range \
                 as in 1-240x2, or several of these with commas between";
     let range = expected(text, StepRange::parse(text), what)?;
     if range.step == 0 {
@@ -121,22 +132,8 @@ fn parse_range(text: &str) -> Result<StepRange, String> {
     Ok(range)
 }
 
-impl StepRange {
-    /// The three numbers as given; `None` if one is missing, too large or not a number.
-    fn parse(text: &str) -> Option<StepRange> {
-        let (range, step) = match text.split_once(['x', 'X']) {
-            Some((range, step)) => (range, step.trim().parse().ok().filter(|_| !step.contains('+'))?),
-            None => (text, 1),
-        };
-        // A minus at the start is a sign; the next one is between the numbers.
-        let dash = range.char_indices().skip(1).find(|(_, c)| *c == '-').map(|(at, _)| at);
-        let (first, last) = dash.map_or((range, range), |at| (&range[..at], &range[at + 1..]));
-        Some(StepRange { first: parse_number(first)?, last: parse_number(last)?, step })
-    }
-}
-
-/// Parses digits with or without a minus.
-fn parse_number(text: &str) -> Option<i64> {
+/// Parses digits, with or without a minus if the type has a sign.
+fn parse_number<T: FromStr>(text: &str) -> Option<T> {
     text.trim().parse().ok().filter(|_| !text.contains('+'))
 }
 
@@ -219,7 +216,7 @@ mod tests {
             (&[8, 2, 1], None),
         ] {
             let expected = expected.map(|(gaps, count)| (gaps.to_owned(), count));
-            assert_eq!(held_gaps(numbers), expected, "{numbers:?}");
+            assert_eq!(missing_numbers(numbers), expected, "{numbers:?}");
         }
     }
 }

@@ -31,7 +31,7 @@ use super::destination::folder_of;
 use super::inputs::{MatchedInputs, find_with_others};
 use super::machine::memory_bytes;
 use super::quantities::PictureSize;
-use super::settings::{ignored, measured_spacing, obstacle_files, settings_of, warn_of};
+use super::settings::{ignored, measure_if_needed, obstacle_files, settings_of, warn_of};
 use super::wording::{pluralize, with_remedy};
 
 /// Settings and resources shared by all pictures of a command.
@@ -69,7 +69,7 @@ pub(super) fn spacing_of(
     options: &MethodOptions,
     console: &Console,
 ) -> Result<Option<MeasuredSpacing>> {
-    measured_spacing(sequence, options, console).map_err(|none| match none.sparse_count {
+    measure_if_needed(sequence, options, console).map_err(|none| match none.sparse_count {
         // An error of reading a file already begins with the file's name.
         0 => Error::from(none),
         _ => Error::from(none).context(sequence.name.clone()),

@@ -12,7 +12,7 @@ use crate::pipeline::{
 use super::CommandOutcome;
 use super::args::{ConvertArgs, FPS, SequenceArgs};
 use super::console::Console;
-use super::frame_selection::held_gaps;
+use super::frame_selection::missing_numbers;
 use super::inputs::{check_output_path, find_inputs, only_sequence, with_files_of_folders};
 use super::machine::thread_pool;
 use super::wording::{counted_are, pluralize};
@@ -88,7 +88,7 @@ fn warn_gaps(path: &Path, frames: &[SequenceSource], console: &mut Console) {
             after.path.display(),
             before.path.display()
         ));
-    } else if let Some((gaps, count)) = held_gaps(&numbers) {
+    } else if let Some((gaps, count)) = missing_numbers(&numbers) {
         let are = counted_are(count);
         console.warning(format_args!("{}: {gaps}: {are} missing", path.display()));
     }

@@ -51,7 +51,7 @@ pub(super) fn warn_of(sequence: &Sequence, settings: &Settings, console: &Consol
 ///
 /// # Errors
 /// If nothing can be measured, and neither spacing nor voxel size was given.
-pub(super) fn measured_spacing(
+pub(super) fn measure_if_needed(
     sequence: &Sequence,
     choices: &MethodOptions,
     console: &Console,
@@ -417,7 +417,7 @@ pub(super) fn print_settings(
         let settings = match job {
             Job::LevelSet { .. } => Settings::for_level_sets(&options)?,
             Job::Surface | Job::Particles => {
-                let measured = pool.install(|| measured_spacing(sequence, &options, console))?;
+                let measured = pool.install(|| measure_if_needed(sequence, &options, console))?;
                 settings_of(sequence, &options, measured.as_ref())?
             }
         };

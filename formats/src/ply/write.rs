@@ -7,7 +7,7 @@
 //!   more         name_0 name_1 ..
 //!   colour       red green blue [alpha]     of vertices: bytes, which all readers of coloured PLY support
 //!   velocity     vx vy vz                   of vertices
-//!   integers     names as above             int, uint, or double if these are too narrow
+//!   integers     names as above             int, uint (particles only), or double if these are too narrow
 //!   strings      names as above             int: the index of a string listed in a comment; −1 for none
 //! ```
 
@@ -42,9 +42,10 @@ pub fn write_mesh(mesh: &MeshView, provenance: &Provenance, out: &mut dyn Write)
         let what = format!("the mesh has {} vertices; the limit of PLY is 2³¹ − 1", mesh.positions.len());
         return Err(Error::too_large(FORMAT, what));
     }
-    let far = mesh.origin != [0.0; 3];
+    let has_origin = mesh.origin != [0.0; 3];
     let columns = columns_of_vertices(mesh.attributes, &mut Vec::new());
-    let mut head = header(if far { "double" } else { "float" }, mesh.positions.len(), &columns, provenance);
+    let mut head =
+        header(if has_origin { "double" } else { "float" }, mesh.positions.len(), &columns, provenance);
     head += "property float nx\nproperty float ny\nproperty float nz\n";
     columns.iter().for_each(|column| head += &column.properties());
     head += &format!(
@@ -54,7 +55,7 @@ pub fn write_mesh(mesh: &MeshView, provenance: &Provenance, out: &mut dyn Write)
     out.write_all(head.as_bytes())?;
     write_pieces(mesh.positions.len(), out, |vertex, bytes| {
         let position = mesh.positions[vertex];
-        if far {
+        if has_origin {
             bytes.extend_from_slice(world(mesh.origin, position).map(f64::to_le_bytes).as_flattened());
         } else {
             bytes.extend_from_slice(position.map(f32::to_le_bytes).as_flattened());
@@ -79,8 +80,7 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
 ///
 /// # Errors
 ///
-/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if an attribute has the wrong number of
-/// values.
+/// [`Error::Io`] if `out` fails; [`Error::Invalid`] if an attribute has the wrong number of values.
 pub fn write_particles(frame: &ParticleFrame, provenance: &Provenance, out: &mut dyn Write) -> Result<()> {
     check(frame, FORMAT)?;
     let values: Vec<Cow<Values>> = frame.attributes.iter().map(written).collect();
@@ -144,11 +144,15 @@ const EXACT_INTEGER_MAX: u64 = 1 << 53;
 
 fn rounded_note(name: &str, values: &[i64]) -> Option<String> {
     let rounded = values.iter().filter(|value| value.unsigned_abs() > EXACT_INTEGER_MAX).count();
-    (rounded > 0).then(|| {
-        format!(
+    match rounded {
+        0 => None,
+        1 => Some(format!(
+            "1 value of {name} is beyond ±2⁵³ and is rounded in the .ply; .vtp stores it exactly"
+        )),
+        _ => Some(format!(
             "{rounded} values of {name} are beyond ±2⁵³ and are rounded in the .ply; .vtp stores them exactly"
-        )
-    })
+        )),
+    }
 }
 
 /// An attribute: one PLY property for each of its components, all of one type.
@@ -235,7 +239,7 @@ fn columns_of_vertices<'a>(
     for (attribute, purpose) in attributes.iter().zip(purposes(attributes)) {
         let VertexAttribute { name, arity, .. } = *attribute;
         let stem = plain_name(name);
-        let (names, usual) = match purpose {
+        let (names, wanted) = match purpose {
             Purpose::Color(_) => (used.take_all("", |stem| color_names(stem, arity)), color_names("", arity)),
             Purpose::Velocity => (used.take_all("v", velocity_names), velocity_names("v")),
             Purpose::Acceleration | Purpose::Other => {
@@ -258,7 +262,7 @@ fn columns_of_vertices<'a>(
             notes.push(format!("{name} is missing in the .ply: its strings are too long for the header"));
             continue;
         }
-        if column.names != usual {
+        if column.names != wanted {
             notes.push(format!("{name} is named {} in the .ply", column.names.join(", ")));
         }
         placed.push(column);

@@ -5,7 +5,7 @@
 //!   uncompressed  [bytes] data
 //!   compressed    [blocks] [block size] [size of the last, or 0] [compressed size] × blocks   block block ..
 //!
-//!   base64        header and data in one run of characters; if compressed, a run for each of them
+//!   base64        uncompressed: header and data as one text; compressed: the header as one text, the data as another
 //! ```
 //!
 //! Numbers in the header have 32 or 64 bits. A block is a zlib stream, an LZ4 block without frame, or an .xz
@@ -82,7 +82,7 @@ impl<'a> ArrayDecoder<'a> {
         ArrayDecoder { encoding, appended, file_bytes, encoded_bytes: 0, bytes: 0, limits }
     }
 
-    /// Adds an array to the totals before it is decoded.
+    /// Adds an array to the totals before it is decoded, and refuses it if they are too large.
     fn claim(&mut self, encoded_bytes: u64, bytes: u64, name: &str) -> Result<()> {
         self.encoded_bytes = self.encoded_bytes.saturating_add(encoded_bytes);
         self.bytes = self.bytes.saturating_add(bytes);
@@ -115,6 +115,7 @@ impl<'a> ArrayDecoder<'a> {
         let length = usize::try_from(length).unwrap_or(usize::MAX);
         let header_letters = letters_of(word_bytes);
         // Some writers encode the header separately from the data; its base64 then ends with padding.
+        // A header alone of 4 bytes is 8 characters that end in "=="; one of 8 bytes is 12 that end in "=".
         let padding = &b"=="[..header_letters / 4 * 3 - word_bytes];
         if length != 0 && encoded.bytes.get(..header_letters).is_some_and(|run| run.ends_with(padding)) {
             return encoded.take(header_letters, length, name);
@@ -143,7 +144,10 @@ impl<'a> ArrayDecoder<'a> {
             .ok()
             .and_then(|count| count.checked_add(3)?.checked_mul(word_bytes))
             .filter(|&bytes| bytes <= encoded.bytes.len())
-            .ok_or_else(|| encoded.too_few(block_count, encoded.bytes.len(), name))?;
+            .ok_or_else(|| {
+                let expected = block_count.saturating_add(3).saturating_mul(word_bytes as u64);
+                encoded.too_few(expected, encoded.bytes.len(), name)
+            })?;
         let packed_sizes = self.words(&encoded.take(0, header_bytes, name)?).split_off(3);
 
         let packed_bytes = packed_sizes.iter().fold(0u64, |sum, &size| sum.saturating_add(size));
@@ -172,7 +176,7 @@ impl<'a> ArrayDecoder<'a> {
         Ok(decompressed)
     }
 
-    /// The whole numbers in a header.
+    /// The numbers in a header.
     fn words(&self, header: &[u8]) -> Vec<u64> {
         let mut cursor = Cursor::new(XML, self.encoding.endian, header, 0);
         let word = || match self.encoding.header_word_bytes {
@@ -186,24 +190,16 @@ impl<'a> ArrayDecoder<'a> {
     pub(super) fn values(&mut self, array: &DataArray, number: NumberType, count: usize) -> Result<Values> {
         let expected =
             count.checked_mul(array.arity).ok_or_else(|| array.invalid("it has too many values"))?;
+        let text: Cow<[u8]>;
         let encoded = match array.form {
             ArrayForm::Ascii => return array.decimals(number, expected),
             ArrayForm::Binary => {
-                let start = array.content.iter().take_while(|byte| byte.is_ascii_whitespace()).count();
-                let bytes = array.content[start..].trim_ascii_end();
-                EncodedArray { bytes, is_base64: true, offset: array.offset + start as u64 }
+                let content = array.content.trim_ascii_start();
+                let start = array.content.len() - content.len();
+                text = without_spaces(content.trim_ascii_end());
+                EncodedArray { bytes: &text, is_base64: true, offset: array.offset + start as u64 }
             }
             ArrayForm::Appended(start) => self.appended(array, start)?,
-        };
-        // Some programs break the lines of base64.
-        let without_spaces: Vec<u8>;
-        let is_broken = array.form == ArrayForm::Binary && encoded.bytes.iter().any(u8::is_ascii_whitespace);
-        let encoded = if is_broken {
-            without_spaces =
-                encoded.bytes.iter().copied().filter(|byte| !byte.is_ascii_whitespace()).collect();
-            EncodedArray { bytes: &without_spaces, ..encoded }
-        } else {
-            encoded
         };
         let bytes = self.decode(encoded, &array.name)?;
         if bytes.len() != expected.saturating_mul(number.size()) {
@@ -230,9 +226,18 @@ impl<'a> ArrayDecoder<'a> {
     }
 }
 
-/// Appends the `length` decompressed bytes of a block; returns false if it is invalid. A false `length`
-/// cannot allocate much memory: zlib and LZMA extend `out` while they decode, and the length of an LZ4 block
-/// is first compared with its largest ratio.
+/// The text without white space: some programs break the lines of base64.
+fn without_spaces(text: &[u8]) -> Cow<'_, [u8]> {
+    if text.iter().any(u8::is_ascii_whitespace) {
+        text.iter().copied().filter(|byte| !byte.is_ascii_whitespace()).collect()
+    } else {
+        text.into()
+    }
+}
+
+/// Appends the `length` decompressed bytes of a block; returns false if it is invalid. A wrong `length` cannot
+/// make this allocate much memory: zlib and LZMA extend `out` while they decode, and for LZ4 the length is
+/// first compared with the largest ratio of the format.
 fn decompress(compression: BlockCompression, block: &[u8], length: u64, out: &mut Vec<u8>) -> bool {
     match compression {
         BlockCompression::Zlib => {
@@ -320,7 +325,7 @@ impl DataArray<'_> {
             return Err(self.invalid(what));
         }
         let values = decimals(words.clone(), number, expected).map_err(|word| {
-            self.invalid(format!("expected a value of its type, found `{}`", excerpt(word)))
+            self.invalid(format!("`{}` is not a value of the array's type", excerpt(word)))
         })?;
         let found = values.len() + words.skip(expected).count();
         if found != expected {
@@ -369,6 +374,7 @@ pub(super) fn decimals<'a>(
         NumberType::U32 | NumberType::I64 => Values::I64(parse(words, count, integer)?),
         NumberType::U64 => {
             let integers: Vec<u64> = parse(words, count, integer)?;
+            // `decode` chooses floats if a value exceeds the signed range.
             let bytes: Vec<u8> = integers.iter().flat_map(|value| value.to_le_bytes()).collect();
             NumberType::U64.decode(&bytes, Endian::Little)
         }

@@ -87,10 +87,9 @@ option_set! {
         /// output
         ///
         /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is created. If PATH is a file,
-        /// its extension selects the format. A new folder whose name ends like a file, such as shot.obj, is
-        /// written shot.obj/. Files are written under temporary names, and renamed when they are complete. A
-        /// result that would replace an input, particles, or a mesh or a level set of another program is
-        /// refused.
+        /// its extension selects the format. To create a folder with a name like that of a file, end it with a
+        /// slash: shot.obj/. Files are written under temporary names, and renamed when they are complete. They
+        /// never replace an input, particles, or a mesh or level set of another program.
         #[arg(short, long, value_name = "PATH", required_unless_present = "print_settings")]
         pub(super) out: Option<PathBuf>,
 
@@ -200,7 +199,7 @@ Choosing the spacing, the voxel size and the radii:
   --voxel-size cannot be in voxels.
 
   By default, lengths and the amount (pseudo-time) of smoothing scale with d. The voxel size h is
-  0.32 d: half of it shows more detail of the same surface, and takes about four times the time and the
+  0.32d: half of it shows more detail of the same surface, and takes about four times the time and the
   memory. On a coarse grid radii are raised to √3·h, the diagonal of a voxel, so that no particle
   falls between the voxels.
 
@@ -250,8 +249,8 @@ option_set! {
         #[arg(long, help_heading = FORMATS, value_name = "M", value_parser = ranged::<f64>(METERS_PER_UNIT))]
         pub(super) meters_per_unit: Option<f64>,
 
-        /// How .vdb stores values: half for 16 bits, with about three significant digits; and the compression
-        /// none, active (active values only) or blosc, as in half,blosc [default: blosc]
+        /// How .vdb stores values: blosc, active (compresses only active values) or none; with half, in 16 bits
+        /// of about three significant digits, as in half,blosc [default: blosc]
         #[arg(long, help_heading = FORMATS, value_name = "LIST")]
         pub(super) vdb: Option<vdb::ValueEncoding>,
 
@@ -274,7 +273,7 @@ option_set! {
         ///
         /// FILE must end in .usda. It is replaced while frames arrive: it plays the frames that are complete,
         /// and holds the previous one where a frame is missing. Its paths are relative to its folder, so move
-        /// it together with the results. Each sequence is a prim. Every shard updates it.
+        /// it together with the results. Each sequence is a prim. Every shard updates the stage.
         #[arg(long, help_heading = SEQUENCE_FILE, value_name = "FILE")]
         pub(super) stage: Option<PathBuf>,
 
@@ -450,8 +449,8 @@ option_set! {
     /// Which files are frames, and how they are converted: the keys of a `[[watch]]` block.
     #[derive(Clone, Debug, Default, PartialEq, Args)]
     pub(super) struct FrameArgs {
-        /// Convert only files whose names match this pattern, such as 'dam.*.bgeo', or whose paths within DIR
-        /// match it, if it contains a /: '*/fluid*.ply', '**/dam.*.bgeo'
+        /// Convert only files whose names match this pattern, such as 'dam.*.bgeo'; a pattern with a / is
+        /// compared with the path within DIR: '*/fluid*.ply', '**/dam.*.bgeo'
         ///
         /// By default all files with an extension of a particle format, and text files that hold particles,
         /// in DIR itself; '**' takes those in its sub-folders as well. Hidden files and results of meniscus
@@ -459,8 +458,7 @@ option_set! {
         #[arg(long, value_name = "GLOB")]
         pub(super) pattern: Option<String>,
 
-        /// Name of the sentinel: a frame is complete when a file of this name, such as {name}.ok, is beside
-        /// it
+        /// A frame is complete when a file of this name, its sentinel, is beside it: such as {name}.ok
         ///
         /// {name} is the frame's name, {stem} the name without its extension. Frames then wait for their
         /// sentinels. Without this option, {stem}.done counts as a sentinel if it exists.
@@ -498,8 +496,8 @@ option_set! {
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(super) settle: Option<Duration>,
 
-        /// How long a frame waits for those around it that have not come, with --temporal; then it is converted
-        /// without them, and again when they come [default: 30s]
+        /// With --temporal: how long a frame waits for the frames around it; then it is converted without the
+        /// missing ones, and again when they come [default: 30s]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(super) temporal_wait: Option<Duration>,
 
@@ -547,6 +545,9 @@ When a frame is read:
   where it left off.
   `meniscus status --out DIR` prints them, and `meniscus status FRAME --out DIR` what is recorded of
   one frame.
+
+Lengths:
+  `meniscus convert --help` explains LENGTH, d (particle spacing), h (voxel size) and r_min.
 
 Signals:
   SIGTERM, SIGINT  finish the frames in flight within 30s, and exit; a second one exits at once.

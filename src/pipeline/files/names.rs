@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   gr\xf6\xdfe.1.ply     bytes that are not UTF-8, from an old disk
-//!   gr··e.1               the stem: each invalid byte becomes a private-use character, U+F700 plus the byte
+//!   gr··e.1.ply           its text: each invalid byte becomes a private-use character, U+F700 plus the byte
 //!   gr\xf6\xdfe.1.obj     the name of the output: the same bytes
 //! ```
 //!
@@ -36,6 +36,7 @@ pub(crate) fn name_of_text(text: &str) -> OsString {
     from_bytes(bytes)
 }
 
+/// The character of byte 0; those of the other bytes follow.
 const ESCAPES_START: u32 = 0xf700;
 
 fn escaped(name: &[u8]) -> String {

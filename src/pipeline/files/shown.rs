@@ -1,5 +1,5 @@
-//! Paths in messages. The standard input is copied to a file before it is read: messages show the path of
-//! this file as the standard input.
+//! Paths in messages. The standard input, or another pipe, is copied to a file before it is read; messages show
+//! its name instead of the path of the copy.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -11,8 +11,8 @@ pub const STANDARD_INPUT: &str = "standard input";
 /// A file that is shown under another name.
 static COPY: OnceLock<(PathBuf, String)> = OnceLock::new();
 
-/// Sets the name of this file in all messages and reports of this process. Only one file can have such a
-/// name.
+/// Sets the name of this file in all messages and reports of this process. Only the first call of a
+/// process has an effect.
 pub fn show_as(copy: &Path, name: &str) {
     COPY.get_or_init(|| (copy.to_owned(), name.to_owned()));
 }

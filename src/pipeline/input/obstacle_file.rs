@@ -55,31 +55,30 @@ pub(super) fn read(path: PathBuf) -> Result<(ObstacleSource, ObstacleBytes), Obs
     let mut files = vec![(path.clone(), stamp)];
     let mut buffers = HashMap::new();
     let mut buffer_hasher: Option<Hasher> = None;
-    for (relative, byte_count) in buffers_of(&path, &file).map_err(|error| failed(&path, error))? {
-        let buffer = folder_of(&path).join(&relative);
-        let unchanged = read_start_unchanged(&buffer, byte_count).map_err(|error| {
-            let message = format!("its buffer {relative}: {error}");
+    for external in buffers_of(&path, &file).map_err(|error| failed(&path, error))? {
+        let buffer = path.with_file_name(&external.path);
+        let unchanged = read_start_unchanged(&buffer, external.byte_count).map_err(|error| {
+            let message = format!("its buffer {}: {error}", external.path);
             failed(&path, io::Error::new(error.kind(), message))
         })?;
         let (bytes, stamp) = unchanged.ok_or_else(|| changed(&buffer))?;
         buffer_hasher.get_or_insert_with(Hasher::new).write(&bytes);
         files.push((buffer, stamp));
-        buffers.insert(relative, bytes);
+        buffers.insert(external.path, bytes);
     }
     let hash = XxHash3_128::oneshot(&file) ^ buffer_hasher.map_or(0, |hasher| hasher.finish_128());
     Ok((ObstacleSource { path, files, hash }, ObstacleBytes { file, buffers }))
 }
 
-/// The paths of an obstacle's buffer files, relative to its folder, and how many bytes of each are used.
+/// An obstacle's buffer files.
 ///
 /// # Errors
 /// When the file is not a valid `.gltf`, or a buffer is outside of its folder.
-pub(super) fn buffers_of(path: &Path, bytes: &[u8]) -> meniscus_formats::Result<Vec<(String, u64)>> {
+pub(super) fn buffers_of(path: &Path, bytes: &[u8]) -> meniscus_formats::Result<Vec<gltf::ExternalFile>> {
     if !may_have_buffers(path) {
         return Ok(Vec::new());
     }
-    let buffers = gltf::external_files(bytes)?;
-    Ok(buffers.into_iter().map(|gltf::ExternalFile { path, byte_count }| (path, byte_count)).collect())
+    gltf::external_files(bytes)
 }
 
 /// Whether the buffers may be separate files: only a `.gltf` has those.
@@ -96,8 +95,8 @@ pub(super) fn parse(
     bytes: ObstacleBytes,
     memory_bytes: u64,
 ) -> Result<ObstacleSdf, ObstacleError> {
+    // The reader takes a shared function, and each file is taken once.
     let buffers = Mutex::new(bytes.buffers);
-    // Each file is requested once.
     let take = |relative: &str| {
         let bytes = buffers.lock().unwrap_or_else(PoisonError::into_inner).remove(relative);
         bytes.ok_or_else(|| {
@@ -161,15 +160,16 @@ pub(crate) fn findings_of(shape: &ObstacleSdf, settings: &Settings) -> Vec<Obsta
         ObstacleSdf::Grid(sampled) => {
             let known_voxels = (sampled.band_width() - sampled.voxel_size()) / settings.voxel_size;
             let rebuilt = sampled.rebuild_reason().map(ObstacleFinding::Rebuilt);
-            let narrow = (known_voxels < KNOWN_MIN).then_some(ObstacleFinding::NarrowBand { known_voxels });
+            let narrow =
+                (known_voxels < KNOWN_VOXELS_MIN).then_some(ObstacleFinding::NarrowBand { known_voxels });
             rebuilt.into_iter().chain(narrow).collect()
         }
     }
 }
 
-/// Minimum band width of a level set, less one of its own voxels, in units of the frame's voxel size h. A
-/// narrower band hardly shows where the surface of the obstacle is.
-const KNOWN_MIN: f64 = 1.0;
+/// A level set is known up to its band width, less one of its own voxels. If that is less than this many voxels
+/// of the frame, it hardly shows where the surface is.
+const KNOWN_VOXELS_MIN: f64 = 1.0;
 
 /// Refuses an obstacle whose mesh encloses no volume.
 ///
@@ -203,10 +203,6 @@ pub(super) fn open_edges(shape: &ObstacleSdf) -> usize {
         ObstacleSdf::Mesh(solid) => solid.findings().open_edge_count,
         ObstacleSdf::Grid(_) => 0,
     }
-}
-
-pub(super) fn folder_of(path: &Path) -> &Path {
-    path.parent().unwrap_or(Path::new(""))
 }
 
 pub(super) fn name_of(path: &Path) -> String {

@@ -17,8 +17,8 @@ use crate::surface::obstacle::{Obstacle, Obstacles};
 use crate::surface::options::Settings;
 
 use super::obstacle_file::{
-    ObstacleBytes, ObstacleSource, buffers_of, failed, findings_of, folder_of, loading_factor,
-    may_have_buffers, name_of, open_edges, parse, read, require_volume,
+    ObstacleBytes, ObstacleSource, buffers_of, failed, findings_of, loading_factor, may_have_buffers,
+    name_of, open_edges, parse, read, require_volume,
 };
 use crate::pipeline::error::ObstacleError;
 use crate::pipeline::files::identity::{are_same_file, canonical_path};
@@ -244,7 +244,7 @@ impl ObstacleFiles {
         }
         let Ok(Some((bytes, stamp))) = read_unchanged(path) else { return Vec::new() };
         let buffers = buffers_of(path, &bytes).unwrap_or_default();
-        let files: Vec<PathBuf> = buffers.iter().map(|(buffer, _)| folder_of(path).join(buffer)).collect();
+        let files: Vec<PathBuf> = buffers.iter().map(|buffer| path.with_file_name(&buffer.path)).collect();
         lock(&self.buffers).insert(path.to_owned(), (stamp, files.clone()));
         files
     }
@@ -299,10 +299,11 @@ fn file_of(path: &Path, number: Option<i64>) -> Result<PathBuf, ObstacleError> {
     let Some(number) = number else {
         return missing(path, "the frame has no number, so no file of this pattern belongs to it".into());
     };
-    match pattern.file_of(folder_of(path), number).map_err(|error| failed(path, error))? {
+    let folder = path.parent().unwrap_or(Path::new(""));
+    match pattern.file_of(folder, number).map_err(|error| failed(path, error))? {
         Some(file) => Ok(file),
         None => {
-            let expected = folder_of(path).join(pattern.name_of(number));
+            let expected = path.with_file_name(pattern.name_of(number));
             missing(&expected, format!("no such file: {} has no file for frame {number}", name_of(path)))
         }
     }

@@ -15,7 +15,8 @@ use crate::surface::obstacle::Obstacle;
 use crate::surface::options::{Anisotropy, RADIUS_MAX_VOXELS, Settings};
 use crate::surface::particles::ParticleSource;
 
-use super::position_doubts::box_of;
+use super::position_doubts::box_of_all_particles;
+use crate::pipeline::target::outputs::VDB_HALF_WIDTH_VOXELS;
 use crate::pipeline::warning::{ObstacleFinding, Warning};
 
 /// A warning for each obstacle that is out of reach of all particles of a frame.
@@ -28,18 +29,19 @@ pub(crate) fn out_of_reach<'a, S: ParticleSource>(
     settings: &Settings,
 ) -> Result<Vec<Warning>, S::Error> {
     let mut obstacles = obstacles.into_iter().peekable();
+    // Without obstacles no particles are read.
     if obstacles.peek().is_none() {
         return Ok(Vec::new());
     }
-    let Some(of_particles) = box_of(particles)? else { return Ok(Vec::new()) };
+    let Some(particle_box) = box_of_all_particles(particles)? else { return Ok(Vec::new()) };
     let reach = reach(settings);
     let warnings = obstacles.filter_map(|(path, obstacle)| {
-        let of_obstacle = obstacle.sdf().bounds()?;
+        let obstacle_box = obstacle.sdf().bounds()?;
         let is_near = (0..3).all(|axis| {
-            of_obstacle[0][axis] - reach <= of_particles[1][axis]
-                && of_particles[0][axis] <= of_obstacle[1][axis] + reach
+            obstacle_box[0][axis] - reach <= particle_box[1][axis]
+                && particle_box[0][axis] <= obstacle_box[1][axis] + reach
         });
-        let finding = ObstacleFinding::OutOfReach { obstacle: of_obstacle, particles: of_particles };
+        let finding = ObstacleFinding::OutOfReach { obstacle: obstacle_box, particles: particle_box };
         (!is_near).then(|| Warning::Obstacle { path: path.to_owned(), finding })
     });
     Ok(warnings.collect())
@@ -49,6 +51,7 @@ pub(crate) fn out_of_reach<'a, S: ParticleSource>(
 fn reach(settings: &Settings) -> f64 {
     let h = settings.voxel_size;
     let radius = match settings.per_particle_radius {
+        // A particle's own radius may be larger, up to this limit.
         Some(_) => settings.radius_max.max(RADIUS_MAX_VOXELS * h),
         None => settings.radius_max,
     };
@@ -57,8 +60,5 @@ fn reach(settings: &Settings) -> f64 {
         Anisotropy::Neighbors { max_stretch, .. } | Anisotropy::Velocity { max_stretch, .. } => max_stretch,
     };
     let moved = settings.position_smoothing * settings.neighbor_radius + settings.offset.max(0.0);
-    radius * stretch + moved + (settings.void_threshold + BAND_VOXELS) * h
+    radius * stretch + moved + (settings.void_threshold + f64::from(VDB_HALF_WIDTH_VOXELS)) * h
 }
-
-/// Half the width of the band that is written for a level set, in voxels.
-const BAND_VOXELS: f64 = 3.0;

@@ -1,5 +1,5 @@
-//! Doubts about the positions of a frame, which cannot make the expected surface: none is finite, all are in
-//! a plane, or they were rounded.
+//! Looks for likely mistakes in the positions of a frame: none is finite, all are in a plane, or they were
+//! rounded.
 
 use glam::DVec3;
 use meniscus_formats::{Error, Position};
@@ -7,13 +7,15 @@ use rayon::prelude::*;
 
 use crate::surface::options::Settings;
 use crate::surface::particles::{ParticleSource, Positions};
+use crate::surface::space::joined;
 use crate::surface::spacing::{ROUNDING_SHARE_MAX, rounding_step};
 
 use super::frame_input::FrameInput;
 use crate::pipeline::error::Cause;
 use crate::pipeline::warning::{InputWarning, Warning};
 
-/// Warnings about the positions. Reads the first batch, and all of them if it is in a plane.
+/// Warnings about the positions. Reads only the first batch, unless that is in a plane or has no finite
+/// position.
 ///
 /// # Errors
 /// Those of reading the particles; if there are particles, and none has a finite position.
@@ -29,11 +31,11 @@ pub(crate) fn position_doubts(particles: &FrameInput, settings: &Settings) -> Re
     }
     let of_first = box_of_batch(&first);
     if of_first.is_none_or(|bounds| flat_axis(bounds).is_some()) {
-        let Some(bounds) = box_of(particles)? else {
+        let Some(bounds) = box_of_all_particles(particles)? else {
             let what = format!("none of the {} particles has a finite position", particles.len());
             return Err(Cause::File(Error::invalid("", Position::File, what)));
         };
-        let axis = flat_axis(bounds).filter(|_| particles.len() >= PLANAR_FROM);
+        let axis = flat_axis(bounds).filter(|_| particles.len() >= PLANAR_COUNT_MIN);
         let planar =
             axis.map(|axis| InputWarning::Planar { axis: ['x', 'y', 'z'][axis], at: bounds[0][axis] });
         warnings.extend(planar.map(Warning::Input));
@@ -42,7 +44,7 @@ pub(crate) fn position_doubts(particles: &FrameInput, settings: &Settings) -> Re
 }
 
 /// Fewer particles may be in a plane by chance.
-const PLANAR_FROM: usize = 10;
+const PLANAR_COUNT_MIN: usize = 10;
 
 /// The axis along which a box has no width, if it has a width along the two others.
 fn flat_axis([least, greatest]: [DVec3; 2]) -> Option<usize> {
@@ -52,18 +54,13 @@ fn flat_axis([least, greatest]: [DVec3; 2]) -> Option<usize> {
 }
 
 /// The bounding box (minimum and maximum corner) of the particles with finite positions.
-pub(crate) fn box_of<S: ParticleSource>(particles: &S) -> Result<Option<[DVec3; 2]>, S::Error> {
+pub(crate) fn box_of_all_particles<S: ParticleSource>(particles: &S) -> Result<Option<[DVec3; 2]>, S::Error> {
     let of_batch = |batch: usize| Ok(box_of_batch(&particles.batch(batch)?));
     let of_batches = (0..particles.batch_count()).into_par_iter().map(of_batch);
-    of_batches.try_reduce(|| None, |one, other| Ok(one.into_iter().chain(other).reduce(both)))
-}
-
-/// The bounding box of two boxes.
-fn both(one: [DVec3; 2], other: [DVec3; 2]) -> [DVec3; 2] {
-    [one[0].min(other[0]), one[1].max(other[1])]
+    of_batches.try_reduce(|| None, |one, other| Ok(one.into_iter().chain(other).reduce(joined)))
 }
 
 fn box_of_batch(positions: &Positions<'_>) -> Option<[DVec3; 2]> {
     let points = (0..positions.len()).map(|index| positions.position(index));
-    points.filter(|point| point.is_finite()).map(|point| [point; 2]).reduce(both)
+    points.filter(|point| point.is_finite()).map(|point| [point; 2]).reduce(joined)
 }

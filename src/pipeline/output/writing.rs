@@ -28,12 +28,9 @@ use crate::pipeline::input::frame::Frame;
 use crate::pipeline::records::provenance::{MadeFrom, provenance};
 use crate::pipeline::records::record_line::OutputFile;
 use crate::pipeline::scheduler::Scheduler;
-use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, output_path};
+use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, VDB_HALF_WIDTH_VOXELS, output_path};
 use crate::pipeline::target::picture::{PictureOptions, PictureScene, encode_picture, up_of, velocities};
 use crate::pipeline::warning::Warning;
-
-/// Half the width of the band in a .vdb, in voxels: the width that programs expect of a level set.
-const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
 
 /// The files of a frame.
 pub(crate) struct WrittenFiles {

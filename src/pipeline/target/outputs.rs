@@ -21,6 +21,9 @@ pub const METERS_PER_UNIT: RangeInclusive<f64> = 1e-9..=1e9;
 /// The allowed numbers of frames per second.
 pub const FRAME_RATES: RangeInclusive<f64> = f64::MIN_POSITIVE..=1000.0;
 
+/// Half the width of the band in a .vdb, in voxels: the width that programs expect of a level set.
+pub(crate) const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
+
 /// The outputs of a frame, and their folder.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OutputOptions {

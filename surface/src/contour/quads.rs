@@ -6,8 +6,9 @@
 //!    cells      −1 │ 0  1  2  3  4  5  6  7        9 × 9 × 9: all cells around edges of the leaf
 //! ```
 //!
-//! Quads without joined sides (see [`Ring`]) are then split in batches, one quad per SIMD lane. Quads
-//! with joined sides become fans of triangles around an additional vertex.
+//! Quads without joined sides (sides where two edges of the mesh would coincide, see [`Ring`]) are then split
+//! in batches, one quad per SIMD lane. Quads with joined sides become fans of triangles around an additional
+//! vertex.
 
 use glam::{DVec3, IVec3, Vec3};
 
@@ -66,9 +67,9 @@ impl Quads<'_> {
             polygon.push(corners[side]);
             if ring.joined_sides >> side & 1 == 1 {
                 let normal_axis = (ring.axis + turn) % 3;
-                let corner = (inside_end - ring.cells[far]).to_array();
-                let corner = [1, 2].map(|turn| corner[(normal_axis + turn) % 3] as usize);
                 let cell = ring.cells[far];
+                let in_cell = (inside_end - cell).to_array();
+                let corner = [1, 2].map(|next| in_cell[(normal_axis + next) % 3] as usize);
                 let key = (patch.neighborhood.leaf(cell >> 3), segment_key(cell & 7, normal_axis, corner));
                 let found = self.on_faces.binary_search_by_key(&key, |&(leaf, key, _)| (leaf, key));
                 let index = found.expect("a joined face has a vertex on each of its segments");
@@ -82,10 +83,13 @@ impl Quads<'_> {
 /// The cells −1 ..= 7 around a leaf.
 struct CellGrid {
     /// For each crossed cell, the vertex of its first cycle; the vertices of its other cycles follow.
-    first_vertices: [u32; CELL_STEP[0] * 9],
+    first_vertices: [u32; CELL_COUNT],
     /// For each crossed cell, the signs of its corners.
-    signs: [u8; CELL_STEP[0] * 9],
+    signs: [u8; CELL_COUNT],
 }
+
+/// Number of cells.
+const CELL_COUNT: usize = 9 * 9 * 9;
 
 /// Strides along x, y and z.
 const CELL_STEP: [usize; 3] = [81, 9, 1];
@@ -93,7 +97,7 @@ const CELL_STEP: [usize; 3] = [81, 9, 1];
 impl CellGrid {
     #[inline(always)]
     fn new(patch: &LeafPatch, layout: &MeshLayout, rows: &SignRows) -> CellGrid {
-        let mut cells = CellGrid { first_vertices: [0; CELL_STEP[0] * 9], signs: [0; CELL_STEP[0] * 9] };
+        let mut cells = CellGrid { first_vertices: [0; CELL_COUNT], signs: [0; CELL_COUNT] };
         for (x, crossed) in rows.crossed_rows().into_iter().enumerate() {
             for (y, crossed) in crossed.into_iter().enumerate().filter(|(_, crossed)| *crossed != 0) {
                 cells.add_row(patch, layout, rows, IVec3::new(x as i32 - 1, y as i32 - 1, -1), crossed);
@@ -102,7 +106,7 @@ impl CellGrid {
         cells
     }
 
-    /// Adds the crossed cells of a row that starts at `first`.
+    /// Adds the crossed cells of a row that starts at `first`; bit z + 1 of `crossed` stands for cell z.
     #[inline(always)]
     fn add_row(
         &mut self,
@@ -114,23 +118,23 @@ impl CellGrid {
     ) {
         let row_in_leaf = offset_in_leaf(IVec3::new(first.x & 7, first.y & 7, 0)) / 8;
         let step = IVec3::new(first.x >> 3, first.y >> 3, 0);
-        let starts = |step: IVec3, end: usize| {
-            let owner = layout.patch(patch.neighborhood.leaf(step));
-            owner.first_vertex + u32::from(owner.row_starts[row_in_leaf + end])
+        let row_start = |leaf_step: IVec3, row: usize| {
+            let owner = layout.patch(patch.neighborhood.leaf(leaf_step));
+            owner.first_vertex + u32::from(owner.row_starts[row])
         };
         let mut index = CellGrid::index(first);
         if crossed & 1 == 1 {
-            // This is the last cell of a row of the previous leaf.
+            // The last cell of a row of the previous leaf: its vertices end where the next row begins.
             let signs = rows.cell_signs(first);
             let count = cell_cycles(signs).count as u32;
             self.signs[index] = signs;
-            self.first_vertices[index] = starts(step - IVec3::Z, 1) - count;
+            self.first_vertices[index] = row_start(step - IVec3::Z, row_in_leaf + 1) - count;
         }
         let mut rest = crossed >> 1 & 0xff;
         if rest == 0 {
             return;
         }
-        let mut next = starts(step, 0);
+        let mut next = row_start(step, row_in_leaf);
         index += 1;
         while rest != 0 {
             let z = rest.trailing_zeros();
@@ -197,6 +201,18 @@ struct QuadBatch {
 
 /// The two ways to split a quad into triangles, as indices of its corners.
 const CUTS: [[[usize; 3]; 2]; 2] = [[[0, 1, 2], [2, 3, 0]], [[1, 2, 3], [3, 0, 1]]];
+
+// The choices for a quad. They are numbers as wide as a lane, so that the loops that choose have no branches and
+// use SIMD.
+
+/// The first of [`CUTS`].
+const FIRST: u32 = 0;
+
+/// The second of [`CUTS`].
+const SECOND: u32 = 1;
+
+/// Rounding might flip a triangle of the better split.
+const UNSAFE: u32 = 2;
 
 /// The second split must be better by this factor, so that rounding errors do not decide how a square is
 /// split.
@@ -282,15 +298,6 @@ impl QuadBatch {
         choices
     }
 }
-
-/// The first of [`CUTS`].
-const FIRST: u32 = 0;
-
-/// The second of [`CUTS`].
-const SECOND: u32 = 1;
-
-/// Rounding might flip a triangle of the better split.
-const UNSAFE: u32 = 2;
 
 /// True if the smallest triangle of the second split is larger than that of the first. The areas are signed,
 /// and computed from rounded positions projected along an axis.

@@ -98,7 +98,7 @@ method_options! {
             #[value(named("LENGTH"))]
             radius_init: Length,
 
-            /// Move the finished surface outward by this distance, -r_min to 2 h; negative moves it inward
+            /// Move the finished surface outward by this distance, -r_min to 2h; negative moves it inward
             /// [default: 0]
             #[value(named("LENGTH").signed())]
             offset: Length,
@@ -127,13 +127,13 @@ method_options! {
             max_stretch: f64 in 1.0..=MAX_STRETCH_MAX
                 => [OptionName::new("anisotropy")], |options, _| options.anisotropy_kind() != AnisotropyKind::None,
 
-            /// Smallest semi-axis of flattened particles, 0.9 h to r_min, for --anisotropy neighbors; smaller
+            /// Smallest semi-axis of flattened particles, 0.9h to r_min, for --anisotropy neighbors; smaller
             /// makes thinner sheets [default: 0.36d]
             #[value(named("LENGTH"))]
             thin_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
 
-            /// Radius of particles without neighbours (drops), which replaces their r_min, positive and at
-            /// most --radius-min, for --anisotropy neighbors [default: 0.63d]
+            /// r_min of particles without neighbours (drops), positive and at most --radius-min; for
+            /// --anisotropy neighbors [default: 0.63d]
             #[value(named("LENGTH"))]
             lone_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
 
@@ -144,13 +144,13 @@ method_options! {
                 => [OptionName::with_value("anisotropy", "neighbors"), OptionName::new("position_smoothing")],
                 |options, _| options.uses_neighbors(),
 
-            /// Move particles near the surface toward the mean of their neighbours by this fraction, 0 to 1
-            /// [default: 0.55]
+            /// Move particles near the surface toward the mean of their neighbours by this fraction of the
+            /// distance, 0 to 1 [default: 0.55]
             #[value(named("L"))]
             position_smoothing: f64 in 0.0..=1.0,
 
-            /// Stretch particles along their velocity: the farther they move in this time, the more;
-            /// positive, for --anisotropy velocity [default: 0.01]
+            /// Stretch particles along their velocity by their motion in this time, relative to r_min: longer
+            /// stretches more; positive, for --anisotropy velocity [default: 0.01]
             #[value(named("SECONDS"))]
             velocity_gain: f64
                 => [OptionName::with_value("anisotropy", "velocity")],
@@ -172,8 +172,8 @@ method_options! {
             #[value(named("LIST"))]
             attributes: AttributeSelection,
 
-            /// Multiply velocities by this factor, and accelerations by its square, 1e-9 to 1e9; for
-            /// velocities per frame it is the frame rate, so that they are per second [default: 1]
+            /// Multiply velocities by this factor, and accelerations by its square, 1e-9 to 1e9. If velocities
+            /// are per frame, give the frame rate [default: 1]
             #[value(named("F"))]
             velocity_scale: f64 in VELOCITY_SCALE_MIN..=VELOCITY_SCALE_MAX
                 => [
@@ -184,8 +184,8 @@ method_options! {
                 uses_velocities,
 
             /// Average each surface with those of this many frames before and after it, along the motion of
-            /// the particles, 0 to 3; particles are followed by ids, or by velocities with --time-step
-            /// [default: 0]
+            /// the particles, 0 to 3; particles are followed by their ids or, with --time-step, by their
+            /// velocities [default: 0]
             #[value(named("N"))]
             temporal: u32 in 0..=FRAMES_MAX,
 
@@ -201,7 +201,7 @@ method_options! {
             drop_islands: u32 in 0..=ISLAND_MAX,
 
             /// Fill enclosed cavities with less volume than this, in units of h³, 0 to 1000000 [default: 25
-            /// (d/h)³, a volume of 25 d³]
+            /// (d/h)³, which is 25 d³]
             #[value(named("VOLUME"))]
             fill_cavities: f64 in 0.0..=CAVITY_VOXELS_MAX,
 
@@ -225,7 +225,7 @@ method_options! {
             smooth_normals: u32 in 0..=ROUNDS_MAX,
 
             /// Write the quads of dual contouring to formats with polygons, such as .obj, .usdc and .abc;
-            /// --quads=false overrides quads = true in a configuration file
+            /// --quads=false overrides the key quads of `watch --config`
             #[value(named("BOOL").or_omitted("true"))]
             quads: bool,
         }
@@ -235,7 +235,7 @@ method_options! {
             integrator: Integrator,
 
             /// Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are
-            /// recomputed instead [default: 3 (d/h)², 29 on the default grid]
+            /// recomputed in their place [default: 3 (d/h)², 29 on the default grid]
             #[value(named("N"))]
             laplacian_steps: u32 in 0..=STEPS_MAX,
 

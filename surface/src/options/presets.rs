@@ -23,7 +23,7 @@ word_enum! {
         Granular = "granular" | "sand",
         /// A quick preview: voxels as large as the spacing
         Preview = "preview",
-        /// The parameters of Bhattacharya, Gao and Bargteil (2015): lengths follow the voxel size
+        /// The parameters of Bhattacharya, Gao and Bargteil (2015): lengths are multiples of the voxel size
         Paper = "paper",
         /// Fluid for evenly spaced particles, noisy for irregular ones: chosen once for a sequence
         Auto = "auto",
