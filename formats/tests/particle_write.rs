@@ -155,7 +155,7 @@ fn unusual_attributes_round_trip_or_get_a_note() {
         (
             "a.ply",
             &[
-                "1 value of id is beyond ±2⁵³ and is rounded in the .ply; .vtp stores it exactly",
+                "values of id beyond ±2⁵³, which the .ply rounds: 1; .vtp stores them exactly",
                 "a b is named a_b in the .ply",
                 "x is named x_2 in the .ply",
                 "part is stored as indices in the .ply; the strings are in its comments",

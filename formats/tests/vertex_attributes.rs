@@ -283,12 +283,10 @@ fn attributes_that_cannot_be_stored_get_a_note() {
         [
             "nine is missing in the glTF file: it has 9 values per vertex; the limit is 4".to_string(),
             format!(
-                "id is missing in the glTF file: {beyond} of its values are beyond ±16777216, where 32-bit floats are not \
-                 exact; use .ply"
+                "id is missing in the glTF file: values beyond ±16777216, where 32-bit floats are not exact: {beyond}; use .ply"
             ),
             format!(
-                "huge is missing in the glTF file: {VERTEX_COUNT} of its values are beyond ±16777216, where 32-bit floats \
-                 are not exact; use .ply"
+                "huge is missing in the glTF file: values beyond ±16777216, where 32-bit floats are not exact: {VERTEX_COUNT}; use .ply"
             ),
         ]
     );
@@ -308,7 +306,7 @@ fn attributes_that_cannot_be_stored_get_a_note() {
         ply::attribute_notes(&attributes),
         [
             format!(
-                "{VERTEX_COUNT} values of huge are beyond ±2⁵³ and are rounded in the .ply; .vtp stores them exactly"
+                "values of huge beyond ±2⁵³, which the .ply rounds: {VERTEX_COUNT}; .vtp stores them exactly"
             ),
             format!("{cut} values of Cd are outside 0 to 1; they are clamped in the .ply"),
             "long is missing in the .ply: its strings are too long for the header".to_string(),

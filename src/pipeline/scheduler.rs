@@ -38,7 +38,7 @@ pub(super) struct Scheduler<'a, 'scope, 'env> {
 }
 
 struct Task<'env> {
-    frame_number: usize,
+    order: usize,
     work: Box<dyn FnOnce() + Send + 'env>,
 }
 
@@ -52,19 +52,15 @@ impl<'a, 'scope, 'env: 'scope> Scheduler<'a, 'scope, 'env> {
     }
 
     /// Queues a frame's work for one of the threads. The work must not panic.
-    pub(super) fn spawn(&self, frame_number: usize, work: impl FnOnce() + Send + 'env) {
-        self.tasks.waiting().push(Task { frame_number, work: Box::new(work) });
+    pub(super) fn spawn(&self, order: usize, work: impl FnOnce() + Send + 'env) {
+        self.tasks.waiting().push(Task { order, work: Box::new(work) });
         call(self.scope, self.tasks);
     }
 
     /// Runs a frame's work on one of the threads, and waits for it. Propagates a panic.
-    pub(super) fn run<R: Send + 'env>(
-        &self,
-        frame_number: usize,
-        work: impl FnOnce() -> R + Send + 'env,
-    ) -> R {
+    pub(super) fn run<R: Send + 'env>(&self, order: usize, work: impl FnOnce() -> R + Send + 'env) -> R {
         let (done, result) = bounded(1);
-        self.spawn(frame_number, move || {
+        self.spawn(order, move || {
             // The receiver waits below.
             let _ = done.send(catch_unwind(AssertUnwindSafe(work)));
         });
@@ -112,7 +108,7 @@ impl<'env> TaskQueue<'env> {
 /// The greatest task is the next one: that of the earliest frame.
 impl Ord for Task<'_> {
     fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        Reverse(self.frame_number).cmp(&Reverse(other.frame_number))
+        Reverse(self.order).cmp(&Reverse(other.order))
     }
 }
 
@@ -124,7 +120,7 @@ impl PartialOrd for Task<'_> {
 
 impl PartialEq for Task<'_> {
     fn eq(&self, other: &Self) -> bool {
-        self.frame_number == other.frame_number
+        self.order == other.order
     }
 }
 

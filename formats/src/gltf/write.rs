@@ -551,9 +551,7 @@ fn obstacle(attribute: &VertexAttribute) -> Option<String> {
     let VertexValues::Integers(values) = attribute.values else { return None };
     let beyond = values.iter().filter(|value| value.unsigned_abs() > EXACT_INTEGER_MAX).count();
     (beyond != 0).then(|| {
-        format!(
-            "{beyond} of its values are beyond ±{EXACT_INTEGER_MAX}, where 32-bit floats are not exact; use .ply"
-        )
+        format!("values beyond ±{EXACT_INTEGER_MAX}, where 32-bit floats are not exact: {beyond}; use .ply")
     })
 }
 

@@ -144,15 +144,9 @@ const EXACT_INTEGER_MAX: u64 = 1 << 53;
 
 fn rounded_note(name: &str, values: &[i64]) -> Option<String> {
     let rounded = values.iter().filter(|value| value.unsigned_abs() > EXACT_INTEGER_MAX).count();
-    match rounded {
-        0 => None,
-        1 => Some(format!(
-            "1 value of {name} is beyond ±2⁵³ and is rounded in the .ply; .vtp stores it exactly"
-        )),
-        _ => Some(format!(
-            "{rounded} values of {name} are beyond ±2⁵³ and are rounded in the .ply; .vtp stores them exactly"
-        )),
-    }
+    (rounded > 0).then(|| {
+        format!("values of {name} beyond ±2⁵³, which the .ply rounds: {rounded}; .vtp stores them exactly")
+    })
 }
 
 /// An attribute: one PLY property for each of its components, all of one type.

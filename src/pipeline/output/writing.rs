@@ -76,7 +76,7 @@ pub(crate) fn write_files(
 /// When the format cannot hold this amount of data, or the system reports an error.
 pub(crate) fn write_surface_as<'env>(
     surface: &Arc<FrameSurface>,
-    (number, frame): (usize, &Frame),
+    (order, frame): (usize, &Frame),
     made_from: MadeFrom<'_>,
     format: OutputFormat,
     scheduler: &Scheduler<'_, '_, 'env>,
@@ -87,7 +87,7 @@ pub(crate) fn write_surface_as<'env>(
         Content::LevelSet => {
             let (surface, frame) = (Arc::clone(surface), frame.clone());
             let encode = move || encode_levels(&surface, &frame.settings, &frame.outputs, &provenance);
-            return scheduler.run(number, encode)?.write(out);
+            return scheduler.run(order, encode)?.write(out);
         }
         Content::Picture(_) => {
             let (surface, frame) = (Arc::clone(surface), frame.clone());
@@ -95,7 +95,7 @@ pub(crate) fn write_surface_as<'env>(
                 let Frame { settings, outputs, .. } = &frame;
                 encode_picture_of(&surface, settings, outputs, frame.job.origin(), format, &provenance)
             };
-            return Ok(out.write_all(&scheduler.run(number, encode)?)?);
+            return Ok(out.write_all(&scheduler.run(order, encode)?)?);
         }
         Content::Mesh(writer) => writer,
     };
@@ -112,7 +112,7 @@ pub(crate) fn write_surface_as<'env>(
             let attributes = vertex_attributes(&surface.attributes.vertices);
             encode(&mesh_view(&surface.mesh, &attributes), &options, &provenance, index)
         };
-        for text in scheduler.run(number, encode)? {
+        for text in scheduler.run(order, encode)? {
             out.write_all(&text)?;
         }
     }

@@ -44,16 +44,16 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             let slot = to.reserve();
             let Some(item) = receive() else { return };
             let finished = finished.clone();
-            self.scheduler.spawn(item.number, move || {
-                let WorkItem { number, key, frame, mut info, content } = item;
+            self.scheduler.spawn(item.order, move || {
+                let WorkItem { order, key, frame, mut info, content } = item;
                 let made =
                     FrameError::catch(&frame.input, stage, || work(shared, content, &frame, &mut info));
                 match made.flatten() {
-                    Ok(content) => slot.send(WorkItem { number, key, frame, info, content }),
+                    Ok(content) => slot.send(WorkItem { order, key, frame, info, content }),
                     Err(error) => {
                         drop((slot, info));
                         let outcome = outcome_of(error);
-                        shared.finish(number, &finished, FinishedFrame { key, frame, outcome });
+                        shared.finish(order, &finished, FinishedFrame { key, frame, outcome });
                     }
                 }
             });

@@ -231,7 +231,7 @@ struct StageContext<'env> {
     budget: Budget,
     smoothed: SmoothedFrames,
     hashes: KnownHashes,
-    /// The number of the first frame that failed.
+    /// The place of the first frame that failed.
     first_failed: AtomicUsize,
 }
 
@@ -243,8 +243,8 @@ struct Stages<'a, 'scope, 'env> {
 
 /// A frame between two stages.
 struct WorkItem<'env, K, T> {
-    /// The position of the frame in the order of requests: the lowest computes first.
-    number: usize,
+    /// Its place in the order of requests: the lowest computes first.
+    order: usize,
     /// The caller's key for the frame.
     key: K,
     frame: Frame,
@@ -356,17 +356,17 @@ impl<'env> StageContext<'env> {
         made.map_err(|cause| frame.failed(stage, cause))
     }
 
-    /// Reports the outcome of the frame with this number. Returns whether the caller still receives outcomes.
-    fn finish<K>(&self, number: usize, to: &Sender<FinishedFrame<K>>, finished: FinishedFrame<K>) -> bool {
+    /// Reports the outcome of the frame at this place in the order of requests. Returns whether the caller still receives outcomes.
+    fn finish<K>(&self, order: usize, to: &Sender<FinishedFrame<K>>, finished: FinishedFrame<K>) -> bool {
         if is_failure(&finished.outcome) {
-            self.first_failed.fetch_min(number, Ordering::Relaxed);
+            self.first_failed.fetch_min(order, Ordering::Relaxed);
         }
         to.send(finished).is_ok()
     }
 
     /// Whether a frame before this one failed, under [`OnError::Stop`].
-    fn is_stopped_before(&self, number: usize) -> bool {
-        self.options.on_error == OnError::Stop && self.first_failed.load(Ordering::Relaxed) < number
+    fn is_stopped_before(&self, order: usize) -> bool {
+        self.options.on_error == OnError::Stop && self.first_failed.load(Ordering::Relaxed) < order
     }
 }
 

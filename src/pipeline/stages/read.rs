@@ -52,14 +52,14 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         finished: &Sender<FinishedFrame<K>>,
     ) {
         // Sending fails when the caller is gone.
-        for number in 0.. {
+        for order in 0.. {
             if slots.send(()).is_err() {
                 return;
             }
             let Some((key, mut frame)) = next() else { return };
-            let is_sent = match self.read_one(number, &mut frame) {
-                Ok((content, info)) => to.send(WorkItem { number, key, frame, info, content }).is_ok(),
-                Err(outcome) => self.shared.finish(number, finished, FinishedFrame { key, frame, outcome }),
+            let is_sent = match self.read_one(order, &mut frame) {
+                Ok((content, info)) => to.send(WorkItem { order, key, frame, info, content }).is_ok(),
+                Err(outcome) => self.shared.finish(order, finished, FinishedFrame { key, frame, outcome }),
             };
             if !is_sent {
                 return;
@@ -67,9 +67,9 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         }
     }
 
-    fn read_one(&self, number: usize, frame: &mut Frame) -> Result<(ReadContent, InputInfo<'env>), Outcome> {
+    fn read_one(&self, order: usize, frame: &mut Frame) -> Result<(ReadContent, InputInfo<'env>), Outcome> {
         let shared = self.shared;
-        if shared.is_stopped_before(number) {
+        if shared.is_stopped_before(order) {
             return Err(Outcome::NotStarted);
         }
         // This is 0 if the metadata cannot be read: then the file cannot be read later either.
@@ -80,8 +80,8 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         shared.begin(frame, Stage::Read);
         let start = Instant::now();
         let read = FrameError::catch(&frame.input.clone(), Stage::Read, || match frame.job {
-            Job::Surface => self.particles_of(number, frame),
-            Job::LevelSet { .. } => self.level_set_of(number, frame),
+            Job::Surface => self.particles_of(order, frame),
+            Job::LevelSet { .. } => self.level_set_of(order, frame),
             Job::Particles => self.bytes_of(frame),
         });
         let ReadResult { content, input, noted, around } = read.map_err(Outcome::Failed).flatten()?;
@@ -133,7 +133,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     }
 
     /// Reads the level set of a frame, and gives the frame the voxel size and the origin of its file.
-    fn level_set_of(&self, number: usize, frame: &mut Frame) -> Result<ReadResult, Outcome> {
+    fn level_set_of(&self, order: usize, frame: &mut Frame) -> Result<ReadResult, Outcome> {
         let failed = |error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
         let memory_bytes = self.shared.options.memory_bytes;
         let file_bytes = frame.input.metadata().map_or(0, |metadata| metadata.len());
@@ -142,7 +142,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
         let input = InputState { stamp, hash: XxHash3_128::oneshot(&bytes) };
         let given = frame.clone();
-        let parsed = self.scheduler.run(number, move || {
+        let parsed = self.scheduler.run(order, move || {
             let (read, file) = read_level_set(&given, &bytes, memory_bytes)?;
             Ok((read, file, other_grids(&bytes)))
         });
@@ -153,7 +153,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let given = FrameInput::LevelSet(Box::new(LevelSetInput::new(file, &frame.job)));
         let noted = InputNotes { warnings, unused_velocity: None };
         let found = FoundObstacles::default();
-        self.parse_and_plan(number, frame, move || Ok((given, noted)), (found, Vec::new()), input)
+        self.parse_and_plan(order, frame, move || Ok((given, noted)), (found, Vec::new()), input)
     }
 
     /// The bytes of a frame's file, or of its step.
@@ -166,7 +166,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     }
 
     /// Reads the particles of a frame, with the warnings about them.
-    fn particles_of(&self, number: usize, frame: &Frame) -> Result<ReadResult, Outcome> {
+    fn particles_of(&self, order: usize, frame: &Frame) -> Result<ReadResult, Outcome> {
         let failed = |error: meniscus_formats::Error| {
             Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error))
         };
@@ -195,7 +195,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                     let noted = InputNotes { warnings: warnings.map_err(failed)?, unused_velocity };
                     Ok((FrameInput::OnDisk(Box::new(particles)), noted))
                 };
-                return self.parse_and_plan(number, frame, choose, (obstacles, around), input);
+                return self.parse_and_plan(order, frame, choose, (obstacles, around), input);
             }
         }
         let (bytes, input) = self.read_whole(frame)?;
@@ -207,13 +207,13 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             let noted = InputNotes { warnings, unused_velocity: read.unused_velocity };
             Ok((FrameInput::InMemory(read.cloud), noted))
         };
-        self.parse_and_plan(number, frame, parse, (obstacles, around), input)
+        self.parse_and_plan(order, frame, parse, (obstacles, around), input)
     }
 
     /// Parses and plans a frame in the pool; only the reading before it happens on this thread.
     fn parse_and_plan(
         &self,
-        number: usize,
+        order: usize,
         frame: &Frame,
         parse: impl FnOnce() -> Result<(FrameInput, InputNotes), FrameError> + Send + 'env,
         (found, around): (FoundObstacles, Vec<FoundFrame>),
@@ -221,7 +221,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     ) -> Result<ReadResult, Outcome> {
         let allowed_bytes = self.shared.options.memory_bytes / held_count(&frame.settings);
         let frame = frame.clone();
-        let planned = self.scheduler.run(number, move || {
+        let planned = self.scheduler.run(order, move || {
             let (given, mut noted) = parse()?;
             let warnings = &mut noted.warnings;
             let failed = |cause| frame.failed(Stage::Read, cause);

@@ -36,7 +36,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         finished: &Sender<FinishedFrame<K>>,
     ) {
         let mut is_abandoned = false;
-        while let Some(WorkItem { number, key, frame, info, content }) = from.receive() {
+        while let Some(WorkItem { order, key, frame, info, content }) = from.receive() {
             // Discarded frames are still taken from the channel: the earlier stages wait for free slots.
             if is_abandoned {
                 continue;
@@ -44,11 +44,11 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             // With `OnError::Stop`, frames keep their order, and all earlier frames have passed the other
             // stages. So timing does not affect which frames are written before a stop.
             let outcome = match content {
-                _ if self.shared.is_stopped_before(number) => Outcome::NotStarted,
-                Passed::Surface(surface) => self.write_surface(number, &frame, info, surface),
+                _ if self.shared.is_stopped_before(order) => Outcome::NotStarted,
+                Passed::Surface(surface) => self.write_surface(order, &frame, info, surface),
                 Passed::Particles(particles) => self.write_particles(&frame, info, &particles),
             };
-            is_abandoned = !self.shared.finish(number, finished, FinishedFrame { key, frame, outcome });
+            is_abandoned = !self.shared.finish(order, finished, FinishedFrame { key, frame, outcome });
         }
     }
 
@@ -67,14 +67,14 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             let mut report = base_report(frame, info, written, warnings);
             report.reconstruction.particle_count = particles.positions.len();
             report.seconds.write = start.elapsed().as_secs_f64();
-            recorded(frame, report)
+            with_record(frame, report)
         });
         converted(written.flatten())
     }
 
     fn write_surface(
         &self,
-        number: usize,
+        order: usize,
         frame: &Frame,
         mut info: InputInfo<'_>,
         surface: FrameSurface,
@@ -102,7 +102,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                     self.shared.begin(frame, Stage::Preview);
                 }
                 let written =
-                    write_surface_as(&surface, (number, frame), made_from, format, &self.scheduler, out);
+                    write_surface_as(&surface, (order, frame), made_from, format, &self.scheduler, out);
                 if format.is_picture() {
                     self.shared.begin(frame, Stage::Write);
                     preview_time += start.elapsed();
@@ -113,14 +113,14 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             info.seconds.preview = preview_time.as_secs_f64();
             let warnings = surface_warnings(&surface, &frame.outputs, &frame.settings);
             let reconstruction = surface.report.clone();
-            recorded(frame, FrameReport { reconstruction, ..base_report(frame, info, written, warnings) })
+            with_record(frame, FrameReport { reconstruction, ..base_report(frame, info, written, warnings) })
         });
         converted(written.flatten())
     }
 }
 
 /// Records a frame whose outputs all have their names.
-fn recorded(frame: &Frame, report: FrameReport) -> Result<FrameReport, FrameError> {
+fn with_record(frame: &Frame, report: FrameReport) -> Result<FrameReport, FrameError> {
     let recorded = frame.record_done(report).map_err(meniscus_formats::Error::from);
     recorded.map_err(|error| FrameError::file(&frame.outputs.folder, Stage::Write, error))
 }

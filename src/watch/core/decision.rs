@@ -17,7 +17,7 @@ use crate::pipeline::{FileStamp, Reason, RecordedFrame, UnfinishedState};
 
 /// Why a frame is to be converted, from its record, its stamp, whether it was recorded with these settings, and
 /// the first output that is missing or damaged; `None` if it stays as it is.
-pub(crate) fn reason_to_convert(
+pub(crate) fn reason_by_record(
     record: Option<&RecordedFrame>,
     stamp: &FileStamp,
     has_settings: impl Fn(&RecordedFrame) -> bool,
@@ -98,9 +98,9 @@ mod tests {
             (Some(Waiting), stamp(), true, None, Some(Reason::New)),
             (Some(Ignored), stamp(), true, None, Some(Reason::New)),
         ] {
-            let reason = reason_to_convert(Some(&record(state)), &now, |_| has_settings, missing);
+            let reason = reason_by_record(Some(&record(state)), &now, |_| has_settings, missing);
             assert_eq!(reason, expected, "{state:?} {now:?} {has_settings} {missing:?}");
         }
-        assert_eq!(reason_to_convert(None, &stamp(), |_| true, None), Some(Reason::New));
+        assert_eq!(reason_by_record(None, &stamp(), |_| true, None), Some(Reason::New));
     }
 }

@@ -25,7 +25,7 @@ use crate::pipeline::{
 use crate::surface::options::Settings;
 
 use super::completeness::{Candidate, FileHint, Seen, path_of_sentinel};
-use super::decision::reason_to_convert;
+use super::decision::reason_by_record;
 use super::events::{
     Complete, FileContents, FoundObstacleStamps, Inspect, Inspected, InspectionExtent, InspectionResult,
     Recorded, RootRequest, Scan,
@@ -389,7 +389,7 @@ impl Core {
             record.done.iter().flat_map(|done| self.recorded_outputs(id, done)).collect();
         let unrecorded = wanted.iter().find(|path| !paths.contains(path)).map(PathBuf::as_path);
         let has_settings = |record: &RecordedFrame| self.has_settings_of(id, sequence, record);
-        let reason = reason_to_convert(Some(&record), stamp, has_settings, unrecorded);
+        let reason = reason_by_record(Some(&record), stamp, has_settings, unrecorded);
         let checks_obstacles = !self.roots[id.root].obstacles.is_empty();
         reason.is_none().then_some(Recorded { record, checks_obstacles })
     }
@@ -546,7 +546,7 @@ impl Core {
                 .is_none_or(|stamps| record.obstacle_stamp() == Some(&obstacle_stamp(stamps)));
             !is_known || has_obstacles && self.has_settings_of(id, frame.sequence, record)
         };
-        let reason = reason_to_convert(record, &frame.stamp, has_settings, changed_output);
+        let reason = reason_by_record(record, &frame.stamp, has_settings, changed_output);
         reason.or_else(|| frame.was_closed.then_some(Reason::Closed))
     }
 
