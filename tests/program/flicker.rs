@@ -227,6 +227,44 @@ fn breathing_ball_scores_its_change_of_radius_with_place_and_time() {
 }
 
 #[test]
+fn volumes_ghosts_and_lag_are_measured() {
+    let folder = scene(&[1.05, 1.07, 1.05, 1.05], ",id");
+    fs::create_dir(folder.path().join("own")).expect("made");
+    for number in [2, 3] {
+        // The surfaces are 0.3 spacings behind these.
+        let mesh = sphere(1.06, STEP * f64::from(number) + 0.3 * SPACING);
+        write_mesh(&folder.path().join(format!("own/dam.{number}.obj")), &mesh);
+    }
+    // Frame 3 has a piece without particles.
+    let (mut positions, mut triangles) = sphere(1.05, 3.0 * STEP);
+    let (drop, of_drop) = sphere(0.07, 3.0 * STEP + 2.0);
+    let first = positions.len() as u32;
+    positions.extend(drop);
+    triangles.extend(of_drop.iter().map(|triangle| triangle.map(|corner| corner + first)));
+    write_mesh(&folder.path().join("dam.3.obj"), &(positions, triangles));
+    let result = run(&folder, &["--unaveraged", "own", "--csv", "s.csv", "--spacing", "0.1"]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    let table = folder.path().join("s.csv");
+    let volume = |radius: f64| 4.0 / 3.0 * std::f64::consts::PI * (radius / SPACING).powi(3);
+    let expected = [volume(1.07), volume(1.05)];
+    for (found, expected) in column(&table, "volume").iter().zip(expected) {
+        assert!((found / expected - 1.0).abs() < 0.02, "{found} instead of {expected}");
+    }
+    let step = (1.05_f64 / 1.07).powi(3) - 1.0;
+    assert!((column(&table, "volume_step")[0] - step).abs() < 0.002, "{}", result.out);
+    assert_eq!([column(&table, "pieces"), column(&table, "ghosts")], [[1.0, 2.0], [0.0, 1.0]]);
+    for lag in column(&table, "lag") {
+        assert!((lag - 0.2).abs() < 0.02, "{lag}");
+    }
+    for words in ["1 ghost, largest volume step 5.5", " %, lag 0.2"] {
+        assert!(result.out.contains(words), "{words} is not in {}", result.out);
+    }
+    fs::remove_file(folder.path().join("own/dam.2.obj")).expect("removed");
+    let some = run(&folder, &["--unaveraged", "own", "--spacing", "0.1"]);
+    assert!(some.err.contains("--unaveraged: no mesh for frame 2"), "{}", some.err);
+}
+
+#[test]
 fn missing_frames_are_skipped_and_named() {
     let folder = scene(&[1.05; 9], ",id");
     for name in ["dam.4.obj", "p.7.csv"] {

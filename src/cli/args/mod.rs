@@ -796,6 +796,11 @@ pub(super) struct FlickerArgs {
     #[arg(long, required = true, value_name = "PARTICLES")]
     pub(super) particles: Vec<PathBuf>,
 
+    /// The surfaces of the same frames that were made without --temporal: measures how far the averaged ones lag
+    /// behind them
+    #[arg(long, value_name = "MESHES")]
+    pub(super) unaveraged: Vec<PathBuf>,
+
     /// Frames of particles per second; needed if the particles have velocities but no ids
     #[arg(
         long,
@@ -856,6 +861,8 @@ What is scored:
   A point's flicker is the second difference of its signed distances to the three surfaces, in particle
   spacings. The score is the root of its mean square: 0 for a surface that moves as its particles do.
   The first difference is that of the distance to the next surface alone, and lag 2 that to the one after it.
+  A ghost is a piece of the surface without particles, or with less than half of their volume. The volume step is
+  the largest change of the volume from a frame to the next, relative to the volume.
 
   A distance of more than 2 spacings counts as 2. Points with no particle within 3 spacings are
   counted and left out. A frame is scored if the frames before and after it have a mesh and particles.

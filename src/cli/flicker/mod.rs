@@ -20,7 +20,8 @@ use crate::pipeline::{
     moving_particles, parse_particles, read_file, shown,
 };
 use crate::surface::flicker::{
-    CARRY_REACH, Carrier, Distribution, FlickerFrame, MovingParticles, carried_distances, flicker,
+    CARRY_REACH, Carrier, Distribution, Enclosed, FlickerFrame, MovingParticles, carried_distances, enclosed,
+    flicker, lag,
 };
 use crate::surface::obstacle::MeshDistance;
 use crate::surface::options::SpacingOptions;
@@ -35,7 +36,7 @@ use super::inputs::{check_output_path, find_inputs, only_sequence, refuse_times,
 use super::machine::thread_pool;
 use super::render_session::{catch_panic, named_picture};
 use super::wording::{pluralize, significant, with_causes};
-use scores::{FlickerTotals, ScoredFrame};
+use scores::{FlickerTotals, FrameScores, ScoredFrame};
 
 /// If more than this share of the points has no particle in range, the mesh and the particles probably do not
 /// belong together.
@@ -98,6 +99,12 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Command
     Ok(if failed_count > 0 { CommandOutcome::SomeFailed } else { CommandOutcome::Done })
 }
 
+/// A frame that was read.
+struct ReadFrame {
+    frame: FlickerFrame,
+    enclosed: Enclosed,
+}
+
 /// The state while frames are read and scored in order.
 struct Scoring<'a> {
     args: &'a FlickerArgs,
@@ -106,7 +113,7 @@ struct Scoring<'a> {
     /// How points are followed from frame to frame. The first frame with particles determines it.
     carrier: Option<Carrier>,
     /// The frames read so far that may be needed again, by number; `None` for unreadable ones.
-    ready: BTreeMap<i64, Option<FlickerFrame>>,
+    ready: BTreeMap<i64, Option<ReadFrame>>,
     failed_count: usize,
     /// Whether the first open mesh was reported.
     has_warned_of_open_mesh: bool,
@@ -131,6 +138,8 @@ impl Scoring<'_> {
         let ([Some(before), Some(middle), Some(after)], Some(carrier)) = (found, self.carrier) else {
             return Ok(None);
         };
+        let (enclosed, next_volume) = (middle.enclosed, after.enclosed.volume);
+        let [before, middle, after] = [before, middle, after].map(|read| &read.frame);
         let name = self.frames.name_of(number);
         if middle.surface().bounds().is_none() {
             console.warning(format_args!("{name}: the mesh is empty, so it has no points to score"));
@@ -151,11 +160,23 @@ impl Scoring<'_> {
             carried_distances(from, to, carrier, spacing, samples).into_iter().flatten().collect()
         };
         let drifts = [distances(middle, after, carrier), distances(before, after, carrier.over(2))];
-        Ok(Some(ScoredFrame::new(number, name, found, drifts)))
+        let volume_step = (next_volume - enclosed.volume) / enclosed.volume;
+        let mut scores = FrameScores { flicker: found, drifts, enclosed, volume_step, lag: None };
+        let unaveraged = self.frames.files.get(&number).and_then(|files| files.unaveraged.as_ref());
+        if let Some(own) = unaveraged.map(|path| catch_panic(path, || read_surface(path))) {
+            match own {
+                Ok(own) => scores.lag = lag(middle, after, &own, carrier, spacing, samples),
+                Err(error) => {
+                    self.failed_count += 1;
+                    console.error(with_causes(&error));
+                }
+            }
+        }
+        Ok(Some(ScoredFrame::new(number, name, scores)))
     }
 
     /// Reads a frame. If it cannot be read, prints the error and returns `None`.
-    fn read(&mut self, number: i64, console: &mut Console) -> Result<Option<FlickerFrame>> {
+    fn read(&mut self, number: i64, console: &mut Console) -> Result<Option<ReadFrame>> {
         let Some(files) = self.frames.files.get(&number) else { return Ok(None) };
         let (spacing, filter) = (self.spacing, self.args.filter.as_ref());
         let frame = match catch_panic(&files.mesh, || read_frame(files, spacing, filter)) {
@@ -178,14 +199,14 @@ impl Scoring<'_> {
         let carrier = match self.carrier {
             Some(carrier) => carrier,
             // A frame without particles does not determine how points are followed.
-            None if !frame.has_particles() => return Ok(Some(frame)),
+            None if !frame.has_particles() => return Ok(Some(ReadFrame::new(frame, spacing))),
             None => {
                 let carrier = self.carrier_of(&frame, &files.particles)?;
                 *self.carrier.insert(carrier)
             }
         };
         if frame.has(carrier) {
-            return Ok(Some(frame));
+            return Ok(Some(ReadFrame::new(frame, spacing)));
         }
         self.failed_count += 1;
         let (lacking, attribute) = match carrier {
@@ -224,8 +245,14 @@ impl Scoring<'_> {
     }
 }
 
+impl ReadFrame {
+    fn new(frame: FlickerFrame, spacing: f64) -> ReadFrame {
+        ReadFrame { enclosed: enclosed(&frame, spacing), frame }
+    }
+}
+
 fn line_of(frame: &ScoredFrame) -> String {
-    let ScoredFrame { name, summary, drifts, untracked_count, clamped_count, .. } = frame;
+    let ScoredFrame { name, summary, drifts, untracked_count, clamped_count, enclosed, .. } = frame;
     if summary.count == 0 {
         return format!(
             "{name}: not scored: no point on the surface can be tracked to both neighbouring frames"
@@ -237,6 +264,9 @@ fn line_of(frame: &ScoredFrame) -> String {
     }
     if *untracked_count > 0 {
         line += &format!(", {untracked_count} untracked");
+    }
+    if enclosed.ghost_count > 0 {
+        line += &format!(", {}", pluralize(enclosed.ghost_count, "ghost"));
     }
     line
 }
@@ -266,6 +296,16 @@ fn report(
         Carrier::Velocities { seconds } => format!("velocities, {} s between frames", significant(seconds)),
     };
     console.print_line(format_args!("spacing {}; points are tracked by {carrier}", significant(spacing)));
+    let scored = || totals.frames.iter().filter(|frame| frame.summary.count > 0);
+    let ghost_count: usize = scored().map(|frame| frame.enclosed.ghost_count).sum();
+    let volume_step = scored().map(|frame| frame.volume_step.abs()).fold(0.0, f64::max);
+    let lags: Vec<f64> = scored().filter_map(|frame| frame.lag).collect();
+    let mut line =
+        format!("{}, largest volume step {:.2} %", pluralize(ghost_count, "ghost"), 100.0 * volume_step);
+    if !lags.is_empty() {
+        line += &format!(", lag {:.4} spacings", lags.iter().sum::<f64>() / lags.len() as f64);
+    }
+    console.print_line(line);
     if let Some(worst) = totals.worst_points.first() {
         let [x, y, z] = worst.position.map(significant);
         let value = worst.value;
@@ -286,7 +326,9 @@ fn refuse_outputs(args: &FlickerArgs, frames: &FlickerFrames) -> Result<()> {
             named_picture(path, &["png"])?;
         }
         check_output_path(option, path)?;
-        let mut inputs = frames.files.values().map(|files| &files.mesh).chain(&frames.particles);
+        let of_frame = |files: &'_ FrameFiles| [Some(files.mesh.clone()), files.unaveraged.clone()];
+        let meshes: Vec<PathBuf> = frames.files.values().flat_map(of_frame).flatten().collect();
+        let mut inputs = meshes.iter().chain(&frames.particles);
         if let Some(input) = inputs.find(|input| are_same_file(input, path)) {
             bail!("{option} {}: would replace the input {}", path.display(), input.display());
         }
@@ -314,6 +356,8 @@ fn refuse_outputs(args: &FlickerArgs, frames: &FlickerFrames) -> Result<()> {
 struct FrameFiles {
     mesh: PathBuf,
     particles: PathBuf,
+    /// The mesh that was not averaged over time, if it is given.
+    unaveraged: Option<PathBuf>,
     /// The name of the frame.
     name: String,
 }
@@ -371,13 +415,24 @@ fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerFrames> {
         console.warning(format_args!("{name}: no particles have the time of {unmatched}: not used"));
     }
     let (meshes, mut particles) = (numbers.sort(meshes)?, numbers.sort(particles)?);
+    let mut unaveraged = match &args.unaveraged[..] {
+        [] => BTreeMap::new(),
+        given => {
+            let given = with_files_of_folders(given, &formats, "meshes")?;
+            numbers.sort(one_sequence(&given, "unaveraged meshes", console)?)?
+        }
+    };
     let particle_numbers: Vec<i64> = particles.keys().copied().collect();
     let (mut files, mut alone) = (BTreeMap::new(), Vec::new());
     for (number, mesh) in meshes {
         match particles.remove(&number) {
             Some(particles) => {
                 let name = mesh.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-                files.insert(number, FrameFiles { mesh: mesh.path, particles: particles.path, name });
+                let unaveraged = unaveraged.remove(&number).map(|file| file.path);
+                files.insert(
+                    number,
+                    FrameFiles { mesh: mesh.path, particles: particles.path, unaveraged, name },
+                );
             }
             None => alone.push(number),
         }
@@ -421,6 +476,16 @@ fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerFrames> {
     let scored: Vec<i64> = scored.into_iter().filter(is_selected).collect();
     if scored.is_empty() {
         bail!("--frames selects none of the frames that have both neighbours");
+    }
+    if !args.unaveraged.is_empty() {
+        let lacks = |number: &i64| files.get(number).is_some_and(|files| files.unaveraged.is_none());
+        let lacking: Vec<i64> = scored.iter().copied().filter(lacks).collect();
+        if !lacking.is_empty() {
+            console.warning(format_args!(
+                "--unaveraged: no mesh for {}: their lag is not measured",
+                listed(&lacking)
+            ));
+        }
     }
     let particle_step = common_step(&particle_numbers);
     Ok(FlickerFrames { name, files, particles: particle_paths, step, particle_step, scored })
@@ -502,9 +567,13 @@ fn listed_with(numbers: &[i64], [one, several]: [&str; 2]) -> String {
 
 /// Reads the mesh of a frame, and the particles that meet the condition.
 fn read_frame(files: &FrameFiles, spacing: f64, filter: Option<&ParticleFilter>) -> Result<FlickerFrame> {
-    let mesh = MeshFile::read(&files.mesh)?.data;
-    let surface = MeshDistance::new(&mesh.positions, &mesh.triangles);
+    let surface = read_surface(&files.mesh)?;
     Ok(FlickerFrame::new(read_moving(&files.particles, filter)?, surface, spacing))
+}
+
+fn read_surface(path: &Path) -> Result<MeshDistance> {
+    let mesh = MeshFile::read(path)?.data;
+    Ok(MeshDistance::new(&mesh.positions, &mesh.triangles))
 }
 
 /// Measures the particle spacing as `convert` does, on all frames of the particles, and returns warnings

@@ -9,7 +9,7 @@ use crate::pipeline::{CameraChoice, OutputFormat, SheetPart, encode_picture, she
 use crate::render::{
     Cell, CellGroup, CellPicture, Line, Mark, Picture, Plot, Sheet, Up, render_marks, stacked,
 };
-use crate::surface::flicker::{Distribution, FrameFlicker, ScoredPoint};
+use crate::surface::flicker::{Distribution, Enclosed, FrameFlicker, ScoredPoint};
 
 use super::{FlickerFrames, numbers_of};
 
@@ -21,6 +21,11 @@ pub(super) struct ScoredFrame {
     pub(super) summary: Distribution,
     /// The distances of carried points from the surface: see [`DriftValues`].
     pub(super) drifts: [Distribution; 2],
+    pub(super) enclosed: Enclosed,
+    /// The change of the volume to the next frame, relative to the volume.
+    pub(super) volume_step: f64,
+    /// See [`lag`](crate::surface::flicker::lag); `None` if it is not measured.
+    pub(super) lag: Option<f64>,
     pub(super) untracked_count: usize,
     pub(super) clamped_count: usize,
     /// The point with the most flicker; `None` if no point can be tracked to both neighbouring frames.
@@ -33,7 +38,16 @@ pub(super) struct ScoredFrame {
 
 /// The signed distances, in particle spacings, of points on a surface that particles carry: from this frame to
 /// the next (the first difference), and from the frame before to the next (lag 2).
-type DriftValues = [Vec<f64>; 2];
+pub(super) type DriftValues = [Vec<f64>; 2];
+
+/// What is measured of a frame.
+pub(super) struct FrameScores {
+    pub(super) flicker: FrameFlicker,
+    pub(super) drifts: DriftValues,
+    pub(super) enclosed: Enclosed,
+    pub(super) volume_step: f64,
+    pub(super) lag: Option<f64>,
+}
 
 /// A point with its position in world units and its flicker in particle spacings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,13 +64,9 @@ const WORST_POINTS: usize = 1000;
 const WORST_FRAMES: usize = 6;
 
 impl ScoredFrame {
-    pub(super) fn new(
-        number: i64,
-        name: String,
-        found: FrameFlicker,
-        drift_values: DriftValues,
-    ) -> ScoredFrame {
-        let FrameFlicker { points, untracked_count, clamped_count } = found;
+    pub(super) fn new(number: i64, name: String, scores: FrameScores) -> ScoredFrame {
+        let FrameScores { flicker, drifts: drift_values, enclosed, volume_step, lag } = scores;
+        let FrameFlicker { points, untracked_count, clamped_count } = flicker;
         let worse = |one: ScoredPoint, other: &ScoredPoint| {
             if other.value.abs() > one.value.abs() { *other } else { one }
         };
@@ -68,6 +78,9 @@ impl ScoredFrame {
             name,
             summary,
             drifts,
+            enclosed,
+            volume_step,
+            lag,
             untracked_count,
             clamped_count,
             worst,
@@ -153,23 +166,31 @@ impl FlickerTotals {
 
 // Writes scores as CSV.
 
-/// Writes a row for each frame. Lengths are in particle spacings, and positions in world units. The scores of
+/// Writes a row for each frame. Lengths and volumes are in particle spacings, and positions in world units. The scores of
 /// a frame are empty if none of its points can be tracked to both neighbouring frames.
 pub(super) fn write_frames(frames: &[ScoredFrame], out: &mut dyn Write) -> io::Result<()> {
-    writeln!(out, "frame,points,untracked,clamped,rms,median,p99,max,first,lag_2,max_x,max_y,max_z")?;
+    writeln!(
+        out,
+        "frame,points,untracked,clamped,volume,pieces,ghosts,volume_step,lag,rms,median,p99,max,first,lag_2,max_x,max_y,max_z"
+    )?;
     for frame in frames {
         let ScoredFrame {
             number,
             summary,
             drifts: [first, lag_2],
+            enclosed: Enclosed { volume, piece_count, ghost_count },
+            volume_step,
+            lag,
             untracked_count,
             clamped_count,
             worst,
             ..
         } = frame;
         let (first, lag_2) = (first.rms, lag_2.rms);
+        let lag = lag.map_or(String::new(), |lag| lag.to_string());
         let Distribution { count, rms, median, percentile_99, max } = summary;
         write!(out, "{number},{count},{untracked_count},{clamped_count}")?;
+        write!(out, ",{volume},{piece_count},{ghost_count},{volume_step},{lag}")?;
         match worst {
             Some(worst) => {
                 let [x, y, z] = worst.position.to_array();
@@ -347,8 +368,13 @@ mod tests {
         ScoredFrame::new(
             number,
             format!("f{number}"),
-            FrameFlicker { points, untracked_count: 1, clamped_count: 0 },
-            [values.to_vec(), Vec::new()],
+            FrameScores {
+                flicker: FrameFlicker { points, untracked_count: 1, clamped_count: 0 },
+                drifts: [values.to_vec(), Vec::new()],
+                enclosed: Enclosed::default(),
+                volume_step: 0.0,
+                lag: None,
+            },
         )
     }
 

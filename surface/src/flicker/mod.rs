@@ -16,6 +16,8 @@
 //! Invariants: the same frames give the same bits on any number of threads; scaling positions and spacing by
 //! a power of two changes no value.
 
+mod pieces;
+
 use glam::DVec3;
 use rayon::prelude::*;
 
@@ -23,6 +25,7 @@ use crate::motion::{BEYOND_NEAREST, Mean, TrackedParticles};
 pub use crate::motion::{Carrier, MovingParticles};
 use crate::obstacle::MeshDistance;
 use crate::parallel::Loops as _;
+pub use pieces::{Enclosed, enclosed};
 
 /// Upper limit of the distances from a surface, in spacings; larger ones are clamped.
 pub const REACH: f64 = 2.0;
@@ -128,6 +131,34 @@ pub fn carried_distances(
     let distance =
         |(position, _): (DVec3, DVec3)| carried_distance(from, to, carrier, 1.0, position, spacing);
     samples(from.surface.triangles(), sample_count).into_par_iter().halved().map(distance).collect()
+}
+
+/// How far a surface lags behind another surface of the same frame, in spacings: the mean of the distances of its
+/// points from `own`, positive behind it in the direction of motion, weighted by how far the particles carry the
+/// point along its normal until the frame `to`. `None` if none moves.
+///
+/// There are `sample_count` points, distributed evenly by area. Distances are clamped to [`REACH`].
+pub fn lag(
+    from: &FlickerFrame,
+    to: &FlickerFrame,
+    own: &MeshDistance,
+    carrier: Carrier,
+    spacing: f64,
+    sample_count: usize,
+) -> Option<f64> {
+    let of_point = |(position, normal): (DVec3, DVec3)| {
+        let carried = carry(&from.particles, &to.particles, carrier, 1.0, position, spacing)?;
+        let motion = (carried - position).dot(normal);
+        let distance = (own.distance(position)? / spacing).clamp(-REACH, REACH);
+        Some([-distance * motion, motion.abs()])
+    };
+    let points = samples(from.surface.triangles(), sample_count);
+    let found: Vec<Option<[f64; 2]>> = points.into_par_iter().halved().map(of_point).collect();
+    let [behind, motion] = found
+        .into_iter()
+        .flatten()
+        .fold([0.0; 2], |sum, of_point| [sum[0] + of_point[0], sum[1] + of_point[1]]);
+    (motion > 0.0).then(|| behind / motion)
 }
 
 /// The signed distance of a carried point from the surface of `to`, in spacings, clamped to [`REACH`].

@@ -274,3 +274,63 @@ fn summary_matches_the_sorted_numbers() {
     assert!((found.rms - f64::sqrt(square)).abs() < 1e-9);
     assert_eq!(Distribution::of([]), Distribution::default());
 }
+
+/// A mesh of several.
+fn joined(meshes: &[&MeshDistance]) -> MeshDistance {
+    let corners: Vec<[f64; 3]> =
+        meshes.iter().flat_map(|mesh| mesh.triangles().iter().flatten()).map(DVec3::to_array).collect();
+    let triangles: Vec<[u32; 3]> =
+        (0..corners.len() as u32 / 3).map(|index| [3 * index, 3 * index + 1, 3 * index + 2]).collect();
+    MeshDistance::new(&corners, &triangles)
+}
+
+#[test]
+fn pieces_without_their_particles_are_ghosts() {
+    let rest: Vec<DVec3> = ball(1.0).into_iter().chain([DVec3::new(2.0, 0.0, 0.0)]).collect();
+    let still = |surface| FlickerFrame::new(particles(&rest, |at| at, |_| DVec3::ZERO), surface, SPACING);
+    let ball_at = |radius: f64, x: f64| sphere(radius, DVec3::new(x, 0.0, 0.0), 24);
+    let exact = |radius: f64| 4.0 / 3.0 * std::f64::consts::PI * (radius / SPACING).powi(3);
+    let (body, drop) = (ball_at(1.05, 0.0), ball_at(0.063, 2.0));
+    let found = enclosed(&still(joined(&[&body, &drop])), SPACING);
+    assert_eq!((found.piece_count, found.ghost_count), (2, 0));
+    let expected = exact(1.05) + exact(0.063);
+    assert!((found.volume / expected - 1.0).abs() < 0.02, "{found:?}, {expected}");
+    // One without its particle, one that is too small for it, and a cavity, which is not a piece.
+    let empty = enclosed(&still(joined(&[&body, &ball_at(0.063, -2.0)])), SPACING);
+    assert_eq!((empty.piece_count, empty.ghost_count), (2, 1));
+    let small = enclosed(&still(joined(&[&body, &ball_at(0.045, 2.0)])), SPACING);
+    assert_eq!((small.piece_count, small.ghost_count), (2, 1));
+    let inward: Vec<[f64; 3]> = ball_at(0.5, 0.0)
+        .triangles()
+        .iter()
+        .flat_map(|[a, b, c]| [a, c, b])
+        .map(|at| at.to_array())
+        .collect();
+    let triangles: Vec<[u32; 3]> =
+        (0..inward.len() as u32 / 3).map(|index| [3 * index, 3 * index + 1, 3 * index + 2]).collect();
+    let hollow = enclosed(&still(joined(&[&body, &MeshDistance::new(&inward, &triangles)])), SPACING);
+    assert_eq!((hollow.piece_count, hollow.ghost_count), (1, 0));
+    assert!((hollow.volume / (exact(1.05) - exact(0.5)) - 1.0).abs() < 0.02, "{hollow:?}");
+    assert_eq!(enclosed(&still(MeshDistance::new(&[], &[])), SPACING), Enclosed::default());
+}
+
+#[test]
+fn lag_is_measured_along_the_motion() {
+    let rest = ball(1.0);
+    let frame = |x: f64, shift: f64| {
+        let at = DVec3::new(x, 0.0, 0.0);
+        let particles = particles(&rest, |rest| rest + at, |_| DVec3::X * 0.5 / SECONDS);
+        FlickerFrame::new(particles, sphere(1.05, at + DVec3::X * shift, 24), SPACING)
+    };
+    let own = sphere(1.05, DVec3::ZERO, 24);
+    for carrier in BOTH {
+        // The surface is 0.3 spacings behind; the mean over the normals of a sphere is two thirds of that.
+        for behind in [0.03, 0.0, -0.03] {
+            let found = lag(&frame(0.0, -behind), &frame(0.5, 0.0), &own, carrier, SPACING, SAMPLES);
+            let expected = 2.0 / 3.0 * behind / SPACING;
+            assert!(found.is_some_and(|found| (found - expected).abs() < 0.01), "{found:?}, {expected}");
+        }
+        let still = lag(&frame(0.0, 0.0), &frame(0.0, 0.0), &own, Carrier::Ids, SPACING, SAMPLES);
+        assert_eq!(still, None);
+    }
+}

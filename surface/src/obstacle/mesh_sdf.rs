@@ -463,10 +463,15 @@ impl MeshDistance {
 
     /// The signed distance of a finite point, world units: negative inside. `None` without triangles.
     pub fn distance(&self, point: DVec3) -> Option<f64> {
-        let nearest = self.tree.nearest(point, f64::INFINITY)?;
+        self.distance_and_triangle(point).map(|(distance, _)| distance)
+    }
+
+    /// Also returns the index of the nearest of the [`triangles`](Self::triangles).
+    pub(crate) fn distance_and_triangle(&self, point: DVec3) -> Option<(f64, usize)> {
+        let (triangle, nearest) = self.tree.nearest_triangle(point, f64::INFINITY)?;
         let distance = nearest.distance(point);
         let is_inside = self.normal_at(nearest).dot(point - nearest) < 0.0;
-        Some(if is_inside { -distance } else { distance })
+        Some((if is_inside { -distance } else { distance }, triangle))
     }
 
     /// The angle-weighted sum of the normals of the triangles at a point on the surface.

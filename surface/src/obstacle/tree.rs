@@ -91,6 +91,11 @@ impl TriangleTree {
 
     /// The nearest point on a triangle, if its squared distance is less than `limit`.
     pub(super) fn nearest(&self, point: DVec3, limit: f64) -> Option<DVec3> {
+        self.nearest_triangle(point, limit).map(|(_, nearest)| nearest)
+    }
+
+    /// The nearest triangle and the nearest point on it, if its squared distance is less than `limit`.
+    pub(super) fn nearest_triangle(&self, point: DVec3, limit: f64) -> Option<(usize, DVec3)> {
         let (mut nearest, mut found) = (limit, None);
         let mut pending = vec![(self.root()?.distance_squared(point), 0)];
         while let Some((distance, index)) = pending.pop() {
@@ -99,11 +104,12 @@ impl TriangleTree {
             }
             match self.branch(index) {
                 TreeBranch::Leaf(triangles) => {
-                    for triangle in triangles {
+                    let first = self.nodes[index as usize].first as usize;
+                    for (triangle, index) in triangles.iter().zip(first..) {
                         let on_triangle = nearest_point(triangle, point);
                         let squared = on_triangle.distance_squared(point);
                         if squared < nearest {
-                            (nearest, found) = (squared, Some(on_triangle));
+                            (nearest, found) = (squared, Some((index, on_triangle)));
                         }
                     }
                 }
