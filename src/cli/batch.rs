@@ -106,10 +106,10 @@ impl<'a> Batch<'a> {
         self.items.extend(selected.iter().map(item));
     }
 
-    /// Whether any frame is averaged with others.
-    pub(super) fn averages(&self) -> bool {
-        let mut frames = self.items.iter().filter_map(|item| item.frame.as_ref().ok());
-        frames.any(|frame| !frame.around.is_empty())
+    /// Whether there are frames, and none has others around it.
+    pub(super) fn lacks_frames_around(&self) -> bool {
+        let mut frames = self.items.iter().filter_map(|item| item.frame.as_ref().ok()).peekable();
+        frames.peek().is_some() && frames.all(|frame| frame.around.is_empty())
     }
 
     fn add_sequence(&mut self, name: &str, record: SequenceRecord) -> usize {

@@ -199,9 +199,9 @@ impl ConvertPlan {
         for selected in &self.selection.sequences {
             self.add(&mut batch, selected, console)?;
         }
-        if self.options.temporal.is_some_and(|reach| reach > 0) && !batch.averages() {
+        if self.options.temporal.is_some_and(|reach| reach > 0) && batch.lacks_frames_around() {
             console.warning(format_args!(
-                "--temporal has no effect: no frame has a name with the number before or after that of another one"
+                "--temporal has no effect: no frame has the number before or after that of another one"
             ));
         }
         if let Some(records) = &self.records {

@@ -90,10 +90,8 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     let frames: Vec<(PathBuf, KnownFrame)> = frames.into_iter().collect();
     let verified: Vec<VerifiedFrame> = thread_pool(args.threads)?.install(|| {
         let hash = |frame: &(PathBuf, KnownFrame)| (frame.1.input.clone(), hash_of_input(&frame.1.input));
-        let hashes: HashMap<_, _> = frames.par_iter().map(hash).collect();
-        // Without the inputs, frames around may exist that were never converted.
-        let known = KnownInputs { hashes: &hashes, are_all: !args.input.is_empty() };
-        let verify = |(name, frame)| verify_frame(&records, name, frame, (&wanted, known));
+        let hashes: InputHashes = frames.par_iter().map(hash).collect();
+        let verify = |(name, frame)| verify_frame(&records, name, frame, (&wanted, &hashes));
         frames.into_par_iter().map(verify).collect()
     });
     for frame in verified.iter().filter(|frame| frame.state != ResultState::Done) {
@@ -184,7 +182,7 @@ fn current_settings(
         let values = records.settings(current);
         let reach: u32 = values.and_then(|values| values.get("temporal")?.parse().ok()).unwrap_or(0);
         let reach = reach.min(FRAMES_MAX);
-        // Recorded frames whose inputs are gone are not around others.
+        // A conversion of these inputs averages with no others.
         let given = sequence.frames.iter().filter(|file| given.contains(&*file.path));
         let numbered = NumberedFrames::of_files(given);
         settings.extend(sequence.frames.iter().map(|file| {
@@ -195,20 +193,14 @@ fn current_settings(
     settings
 }
 
-/// The inputs that are known.
-#[derive(Clone, Copy)]
-struct KnownInputs<'a> {
-    /// Their hashes, by path.
-    hashes: &'a HashMap<PathBuf, meniscus_formats::Result<u128>>,
-    /// Whether these are all frames of their sequences.
-    are_all: bool,
-}
+/// The hashes of the inputs that are known, by path.
+type InputHashes = HashMap<PathBuf, meniscus_formats::Result<u128>>;
 
 fn verify_frame(
     records: &FrameRecords,
     name: PathBuf,
-    KnownFrame { input, .. }: KnownFrame,
-    (settings, KnownInputs { hashes, are_all }): (&HashMap<PathBuf, WantedSettings>, KnownInputs<'_>),
+    KnownFrame { input, is_given, .. }: KnownFrame,
+    (settings, hashes): (&HashMap<PathBuf, WantedSettings>, &InputHashes),
 ) -> VerifiedFrame {
     let input_hash = match hashes.get(&input) {
         Some(Ok(hash)) => Ok(Some(*hash)),
@@ -229,7 +221,8 @@ fn verify_frame(
         outputs: None,
         input_hash: input_hash.clone().ok().flatten(),
         obstacles: None,
-        around: (are_all && matches!(input_hash, Ok(Some(_)))).then_some(&*around),
+        // Without the inputs, frames around may exist that were never converted.
+        around: (is_given && matches!(input_hash, Ok(Some(_)))).then_some(&*around),
         settings_id,
         settings: settings.as_ref(),
         cameras: Vec::new(),

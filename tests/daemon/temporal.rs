@@ -101,6 +101,23 @@ fn frames_beside_broken_ones_end() {
     scene.assert_as_converted(&options);
 }
 
+/// A mesh among the particles is between no frames, whenever it comes.
+#[test]
+fn files_that_are_not_frames_are_not_averaged_with() {
+    let scene = Scene::new();
+    let mesh = frame(2)
+        .replace("end_header", "element face 1\nproperty list uchar int vertex_indices\nend_header")
+        + "3 0 1 2\n";
+    [1, 3, 5].into_iter().for_each(|number| put(&scene, number));
+    scene.put("in/dam.2.ply", mesh);
+    scene.once(&OPTIONS).assert_status(0);
+    scene.assert_as_converted(&OPTIONS);
+    // Now it is a frame, so that others are two steps apart.
+    put(&scene, 2);
+    scene.once(&OPTIONS).assert_status(0);
+    scene.assert_as_converted(&OPTIONS);
+}
+
 /// An obstacle that moves, and is missing for one frame.
 #[test]
 fn missing_obstacle_of_a_frame_concerns_only_this_frame() {

@@ -256,7 +256,7 @@ fn volumes_ghosts_and_lag_are_measured() {
     for lag in column(&table, "lag") {
         assert!((lag - 0.2).abs() < 0.02, "{lag}");
     }
-    for words in ["1 ghost, largest volume step 5.5", " %, lag 0.2"] {
+    for words in ["1 ghost, largest volume step 5.4", " %, lag 0.2"] {
         assert!(result.out.contains(words), "{words} is not in {}", result.out);
     }
     fs::remove_file(folder.path().join("own/dam.2.obj")).expect("removed");

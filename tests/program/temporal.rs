@@ -93,6 +93,20 @@ fn changed_frames_concern_those_around_them() {
         "{}",
         alone.err
     );
+    // The frames of other inputs are not compared with those around them.
+    fs::create_dir(folder.join("jet")).expect("made");
+    for number in 1..=3 {
+        fs::copy(folder.join(format!("in/dam.{number}.ply")), folder.join(format!("jet/jet.{number}.ply")))
+            .expect("copied");
+    }
+    let jet = [&["convert", "jet", "--out", "out", "--temporal", "2"][..], &OPTIONS].concat();
+    assert_eq!(meniscus(folder, &jet).status, 0);
+    let of_jet = meniscus(folder, &["verify", "out", "--input", "jet"]);
+    assert!(of_jet.out.contains("3 stale") && !of_jet.err.contains("jet"), "{}{}", of_jet.out, of_jet.err);
+    for name in names_in(&folder.join("out")).into_iter().filter(|name| name.starts_with("jet")) {
+        fs::remove_file(folder.join("out").join(name)).expect("removed");
+    }
+    fs::remove_dir_all(folder.join("jet")).expect("removed");
     // A frame that is gone is not missed.
     fs::remove_file(folder.join("in/dam.1.ply")).expect("removed");
     convert(folder, "out", &["--skip-done"]);

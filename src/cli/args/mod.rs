@@ -249,7 +249,7 @@ option_set! {
         #[arg(long, help_heading = FORMATS, value_name = "M", value_parser = ranged::<f64>(METERS_PER_UNIT))]
         pub(super) meters_per_unit: Option<f64>,
 
-        /// How .vdb stores values: blosc, active (compresses only active values) or none; with half, in 16 bits
+        /// How .vdb stores values: blosc, active (stores only active values) or none; with half, in 16 bits
         /// of about three significant digits, as in half,blosc [default: blosc]
         #[arg(long, help_heading = FORMATS, value_name = "LIST")]
         pub(super) vdb: Option<vdb::ValueEncoding>,

@@ -94,7 +94,7 @@ impl<T> Default for NumberedFrames<T> {
 }
 
 impl<T: PartialEq> NumberedFrames<T> {
-    /// Adds a frame. Returns whether that changes which frames are around others than those next to it.
+    /// Adds a frame. Returns whether that changes how far apart frames are.
     pub fn insert(&mut self, number: i64, frame: T) -> bool {
         let step = self.step();
         let of_number = self.frames.entry(number).or_default();
@@ -103,7 +103,7 @@ impl<T: PartialEq> NumberedFrames<T> {
         }
         of_number.push(frame);
         if of_number.len() > 1 {
-            return of_number.len() == 2;
+            return false;
         }
         let [before, after] = self.gaps_at(number);
         self.count_gaps([between(before, after)], false);
@@ -111,14 +111,13 @@ impl<T: PartialEq> NumberedFrames<T> {
         self.step() != step
     }
 
-    /// Removes a frame. Returns whether that changes which frames are around others than those next to it.
+    /// Removes a frame. Returns whether that changes how far apart frames are.
     pub fn remove(&mut self, number: i64, frame: &T) -> bool {
         let step = self.step();
         let Some(of_number) = self.frames.get_mut(&number) else { return false };
-        let count = of_number.len();
         of_number.retain(|other| other != frame);
         if !of_number.is_empty() {
-            return of_number.len() == 1 && count == 2;
+            return false;
         }
         self.frames.remove(&number);
         let [before, after] = self.gaps_at(number);
@@ -151,27 +150,31 @@ impl<T: PartialEq> NumberedFrames<T> {
 
     /// Whether a frame up to `reach` steps after this one may still come.
     pub fn may_grow_after(&self, number: i64, reach: u32) -> bool {
-        let is_one = self.frames.get(&number).is_some_and(|of_number| of_number.len() == 1);
         let is_free = |step: i64, steps: u32| {
             let number = step.checked_mul(steps.into()).and_then(|far| number.checked_add(far));
             number.is_some_and(|number| !self.frames.contains_key(&number))
         };
-        is_one && self.step().is_none_or(|step| (1..=reach).any(|steps| is_free(step, steps)))
+        self.only(number).is_some()
+            && self.step().is_none_or(|step| (1..=reach).any(|steps| is_free(step, steps)))
+    }
+
+    /// The frame with this number, if only one has it.
+    pub fn only(&self, number: i64) -> Option<&T> {
+        match &self.frames.get(&number)?[..] {
+            [frame] => Some(frame),
+            _ => None,
+        }
     }
 
     /// The frames up to `reach` steps before and after a frame, in order, with the number of steps and their
     /// numbers. Where one is missing, the others keep their distance. A frame without a number, or with one that
     /// others have, too, is next to no other one.
     pub fn around(&self, number: Option<i64>, reach: u32) -> Vec<(i32, i64, &T)> {
-        let only = |number: i64| match &self.frames.get(&number)?[..] {
-            [frame] => Some(frame),
-            _ => None,
-        };
-        let Some(number) = number.filter(|number| only(*number).is_some()) else { return Vec::new() };
+        let Some(number) = number.filter(|number| self.only(*number).is_some()) else { return Vec::new() };
         let reach = i32::try_from(reach).unwrap_or(i32::MAX);
         let frame = |steps: i32| {
             let number = number.checked_add(self.step()?.checked_mul(steps.into())?)?;
-            Some((steps, number, only(number)?))
+            Some((steps, number, self.only(number)?))
         };
         (-reach..=reach).filter(|steps| *steps != 0).filter_map(frame).collect()
     }
@@ -250,7 +253,7 @@ pub(crate) fn not_averaged(error: &FrameError) -> Warning {
 }
 
 /// Recorded of a frame whose obstacles cannot be found.
-const MISSING_OBSTACLES: &str = "missing";
+pub(crate) const MISSING_OBSTACLES: &str = "missing";
 
 fn content_of(
     around: &AroundFrame,
@@ -317,9 +320,9 @@ mod tests {
         assert_eq!(steps(&numbered), [-1, 1]);
         assert!(!numbered.remove(4, &4));
         // A second frame of a number takes both from between the others, until one of them is gone.
-        assert!(numbered.insert(6, 60) && !numbered.insert(6, 61));
+        assert!(!numbered.insert(6, 60) && !numbered.insert(6, 61));
         assert!(steps(&numbered).is_empty());
-        assert!(!numbered.remove(6, &60) && numbered.remove(6, &61));
+        assert!(!numbered.remove(6, &60) && !numbered.remove(6, &61));
         assert_eq!(steps(&numbered), [1]);
     }
 

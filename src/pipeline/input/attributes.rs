@@ -269,13 +269,17 @@ pub(super) fn attribute(attribute: FileAttribute) -> Attribute {
     Attribute { name, role: surface_role, arity, values }
 }
 
+/// Up to these, 2²⁴ and 2⁵³, all integers are exact as floats.
+const EXACT_F32: f64 = 16_777_216.0;
+const EXACT_F64: f64 = 9_007_199_254_740_992.0;
+
 /// Floats as integers, if all of them are whole and exact.
 fn whole_numbers(values: &Values) -> Option<Vec<i64>> {
-    const EXACT: f64 = 9_007_199_254_740_992.0; // 2⁵³
-    let whole = |value: f64| (value.fract() == 0.0 && value.abs() <= EXACT).then_some(value as i64);
+    let whole =
+        |value: f64, exact: f64| (value.fract() == 0.0 && value.abs() <= exact).then_some(value as i64);
     match values {
-        Values::F32(values) => values.iter().map(|&value| whole(value.into())).collect(),
-        Values::F64(values) => values.iter().map(|&value| whole(value)).collect(),
+        Values::F32(values) => values.iter().map(|&value| whole(value.into(), EXACT_F32)).collect(),
+        Values::F64(values) => values.iter().map(|&value| whole(value, EXACT_F64)).collect(),
         Values::U8(_) | Values::I32(_) | Values::I64(_) | Values::Strings { .. } => None,
     }
 }

@@ -17,7 +17,7 @@ use crate::pipeline::files::open::open_own;
 use crate::pipeline::files::out_folder::is_disk_full;
 
 /// A longer line is not a record.
-pub(super) const LINE_BYTES_MAX: u64 = 1 << 20;
+const LINE_BYTES_MAX: u64 = 1 << 20;
 
 /// How often the files are listed, if some disappear meanwhile.
 const LISTINGS_MAX: usize = 3;

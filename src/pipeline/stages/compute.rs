@@ -10,11 +10,13 @@ use meniscus_formats::Error;
 use twox_hash::XxHash3_128;
 
 use crate::pipeline::error::{Cause, FrameError, Stage};
-use crate::pipeline::input::around::{AroundFrame, FoundFrame, FrameContent, not_averaged};
+use crate::pipeline::input::around::{
+    AroundFrame, FoundFrame, FrameContent, MISSING_OBSTACLES, not_averaged,
+};
 use crate::pipeline::input::filter::keep_chosen;
 use crate::pipeline::input::frame::Frame;
 use crate::pipeline::input::frame_input::FrameInput;
-use crate::pipeline::input::reading::{read_file, read_particles_of};
+use crate::pipeline::input::reading::{read_frame_unchanged, read_particles_of};
 use crate::pipeline::method::{self, StagedInput, moving_particles};
 use crate::pipeline::reconstruct::LoadedFrame;
 use crate::pipeline::warning::{InputWarning, Warning};
@@ -184,7 +186,7 @@ fn others(
             Err(error) => {
                 warnings.push(not_averaged(&error));
                 // Otherwise another attempt would end in the same way.
-                if !is_of_content(&error.cause) {
+                if !is_of_content(&error.cause, content) {
                     found.content = None;
                 }
             }
@@ -194,13 +196,17 @@ fn others(
 }
 
 /// Whether the fault is in the content of files, so that every attempt on every machine finds it.
-fn is_of_content(cause: &Cause) -> bool {
+fn is_of_content(cause: &Cause, content: &FrameContent) -> bool {
     match cause {
-        Cause::File(error) => !matches!(error, Error::Io(_) | Error::MemoryLimit { .. }),
-        // The record says that the obstacles are missing.
-        Cause::Obstacle(_) => true,
+        Cause::File(error) => is_lasting(error),
+        Cause::Obstacle(_) if content.obstacles == MISSING_OBSTACLES => true,
+        Cause::Obstacle(error) => error.source.as_ref().is_some_and(is_lasting),
         cause => matches!(cause, Cause::Missing(_) | Cause::VoxelTooSmall(_) | Cause::Panic(_)),
     }
+}
+
+fn is_lasting(error: &Error) -> bool {
+    !matches!(error, Error::Io(_) | Error::MemoryLimit { .. })
 }
 
 /// Reads and smooths a frame that is not in the pipeline.
@@ -211,10 +217,11 @@ fn smoothed_alone(
 ) -> Result<Arc<TimedFrame>, FrameError> {
     let (path, settings) = (&content.path, &frame.settings);
     let failed = |cause| FrameError { path: path.clone(), during: Stage::Read, cause };
-    let bytes = read_file(path)?;
-    if XxHash3_128::oneshot(&bytes) != content.hash {
+    let read = read_frame_unchanged(path, shared.options.index_policy);
+    let read = read.map_err(|error| failed(Cause::File(error)))?;
+    let Some((bytes, _)) = read.filter(|(bytes, _)| XxHash3_128::oneshot(bytes) == content.hash) else {
         return Err(failed(Cause::Changed));
-    }
+    };
     let loaded = LoadedFrame::of_bytes(path, Some(around.number), &bytes, settings)?;
     drop(bytes);
     let moving = loaded.moving_particles();

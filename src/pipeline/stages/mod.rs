@@ -235,7 +235,7 @@ struct StageContext<'env> {
     first_failed: AtomicUsize,
 }
 
-/// The stages of one call of [`stream`](stream). The threads of the stages borrow this.
+/// The stages of one call of [`stream`]. The threads of the stages borrow this.
 struct Stages<'a, 'scope, 'env> {
     shared: &'env StageContext<'env>,
     scheduler: Scheduler<'a, 'scope, 'env>,

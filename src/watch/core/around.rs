@@ -31,42 +31,62 @@ impl Core {
         id.frame_file(self.root_path(id.root)).number()
     }
 
-    /// A frame was found.
+    /// A frame was found, or a file turned out to be one.
     pub(super) fn number_frame(&mut self, id: &FrameId, sequence: usize) {
-        if let Some(number) = self.number_of(id).filter(|_| self.averages(id.root))
-            && self.sequences.get_mut(sequence).numbered.insert(number, id.clone())
-        {
+        let Some(number) = self.number_of(id).filter(|_| self.averages(id.root)) else { return };
+        // A second frame with this number takes the first one from between the others.
+        self.doubt_around_number(sequence, number);
+        if self.sequences.get_mut(sequence).numbered.insert(number, id.clone()) {
             self.doubt_all(sequence);
         }
     }
 
-    /// A frame is gone.
+    /// A frame is gone, or turned out not to be one.
     pub(super) fn unnumber_frame(&mut self, id: &FrameId, sequence: usize) {
-        if let Some(number) = self.number_of(id).filter(|_| self.averages(id.root))
-            && self.sequences.get_mut(sequence).numbered.remove(number, id)
-        {
+        let Some(number) = self.number_of(id).filter(|_| self.averages(id.root)) else { return };
+        if self.sequences.get_mut(sequence).numbered.remove(number, id) {
             self.doubt_all(sequence);
         }
+        self.doubt_around_number(sequence, number);
+    }
+
+    /// If only one frame has this number, others may be around it, and it around others, until now or from now on.
+    fn doubt_around_number(&mut self, sequence: usize, number: i64) {
+        let Some(reach) = self.reach_in(sequence) else { return };
+        let numbered = &self.sequences.get(sequence).numbered;
+        let around = numbered.around(Some(number), reach).into_iter().map(|(.., id)| id);
+        let doubtful: Vec<FrameId> = around.chain(numbered.only(number)).cloned().collect();
+        self.doubt(sequence, doubtful);
     }
 
     /// Other frames than before are around the frames of a sequence.
     pub(super) fn doubt_all(&mut self, sequence: usize) {
-        let done = |frame: &FrameState| frame.sequence == sequence && frame.phase == FramePhase::Done;
-        self.doubtful_around.extend(self.frames.ids_of(|_, frame| done(frame)));
+        let is_done = |frame: &FrameState| frame.sequence == sequence && frame.phase == FramePhase::Done;
+        let done = self.frames.ids_of(|_, frame| is_done(frame));
+        self.doubt(sequence, done);
+    }
+
+    /// Compares a frame that is done with its record, if it is averaged with others.
+    pub(super) fn doubt_done(&mut self, id: &FrameId) {
+        if let Some(sequence) = self.frames.get(id).map(|frame| frame.sequence)
+            && self.averages(id.root)
+        {
+            self.doubt(sequence, [id.clone()]);
+        }
+    }
+
+    fn doubt(&mut self, sequence: usize, frames: impl IntoIterator<Item = FrameId>) {
+        let mut frames = frames.into_iter().peekable();
+        if frames.peek().is_some() {
+            self.doubtful_around.entry(sequence).or_default().extend(frames);
+        }
     }
 
     /// The known frames up to `reach` steps before and after a frame, with the number of steps and their numbers.
     fn known_around(&self, id: &FrameId, reach: u32) -> Vec<(i32, i64, FrameId)> {
         let Some(frame) = self.frames.get(id).filter(|_| reach > 0) else { return Vec::new() };
         let around = self.sequences.get(frame.sequence).numbered.around(self.number_of(id), reach);
-        let around = around.into_iter().map(|(steps, number, id)| (steps, number, id.clone()));
-        around.filter(|(.., id)| self.is_frame(id)).collect()
-    }
-
-    /// Whether a file counts as a frame. One that turned out not to be particles does, as for `convert`: it keeps
-    /// its place in the sequence.
-    fn is_frame(&self, id: &FrameId) -> bool {
-        !matches!(self.frames.phase(id), None | Some(FramePhase::Steps))
+        around.into_iter().map(|(steps, number, id)| (steps, number, id.clone())).collect()
     }
 
     /// The complete frames that a frame is averaged with.
@@ -129,15 +149,18 @@ impl Core {
 
     /// A frame is complete or was converted: those around it may have to be converted again.
     pub(super) fn doubt_frames_around(&mut self, id: &FrameId) {
-        if let Some(reach) = self.reach_of(id) {
-            let around = self.known_around(id, reach).into_iter().map(|(.., id)| id);
-            self.doubtful_around.extend(around);
+        if let Some((reach, frame)) = self.reach_of(id).zip(self.frames.get(id)) {
+            let (sequence, around) = (frame.sequence, self.known_around(id, reach));
+            self.doubt(sequence, around.into_iter().map(|(.., id)| id));
         }
     }
 
     /// With how many frames on each side a frame is averaged; `None` with none, and while its settings are unknown.
     fn reach_of(&self, id: &FrameId) -> Option<u32> {
-        let sequence = self.frames.get(id).filter(|_| self.averages(id.root))?.sequence;
+        self.reach_in(self.frames.get(id).filter(|_| self.averages(id.root))?.sequence)
+    }
+
+    fn reach_in(&self, sequence: usize) -> Option<u32> {
         match &self.sequences.get(sequence).settings {
             SequenceSettings::Fixed(settings, _) => Some(settings.temporal),
             _ => None,
@@ -152,14 +175,15 @@ impl Core {
                 self.release(&id);
             }
         }
-        for id in std::mem::take(&mut self.doubtful_around) {
-            let Some(FrameState { phase: FramePhase::Done, sequence, .. }) = self.frames.get(&id) else {
-                continue;
-            };
-            // Which frames are complete is known once all inspections have ended.
-            if self.frames.is_inspecting(Some(*sequence)) || !self.was_scanned(id.root) {
-                self.doubtful_around.insert(id);
-            } else {
+        // Which frames are complete is known once all inspections have ended.
+        let is_known = |sequence: usize| {
+            self.was_scanned(self.sequences.get(sequence).root) && !self.frames.is_inspecting(Some(sequence))
+        };
+        let known: Vec<usize> = self.doubtful_around.keys().copied().filter(|at| is_known(*at)).collect();
+        for id in
+            known.into_iter().filter_map(|at| self.doubtful_around.remove(&at)).flatten().collect::<Vec<_>>()
+        {
+            if self.frames.phase(&id) == Some(FramePhase::Done) {
                 self.convert_if_changed_around(&id);
             }
         }
@@ -193,10 +217,10 @@ impl Core {
         let is_other =
             current.iter().any(|around| !recorded.contains(around)) || recorded.iter().any(is_elsewhere);
         let Some(frame) = self.frames.get_mut(id).filter(|_| is_other) else { return };
-        if frame.tried_around == current {
+        if frame.tried_around.as_ref() == Some(&current) {
             return;
         }
-        (frame.tried_around, frame.reason) = (current, Some(Reason::FramesAroundChanged));
+        (frame.tried_around, frame.reason) = (Some(current), Some(Reason::FramesAroundChanged));
         self.log_about(&*id.path, |frame| {
             tracing::info!(%frame, "a frame around it has come or changed: converting it again");
         });

@@ -141,7 +141,7 @@ pub(crate) struct FrameState {
     /// Since when it is held for the frames around it.
     pub(crate) waits_since: Option<Instant>,
     /// The frames around it for which it was converted again.
-    pub(crate) tried_around: Vec<RecordedAround>,
+    pub(crate) tried_around: Option<Vec<RecordedAround>>,
     /// The stamps of its obstacles at the last inspection; `None` without obstacles.
     pub(crate) obstacles: Option<Arc<ObstacleStamps>>,
     /// Why it is to be converted.
@@ -150,6 +150,13 @@ pub(crate) struct FrameState {
     alarm_at: Option<Instant>,
     /// The number of the inspection in progress.
     inspection: Option<u64>,
+}
+
+impl FramePhase {
+    /// Whether the file is a frame, as far as is known, and not one without particles or with several steps.
+    pub(crate) fn is_of_frame(self) -> bool {
+        !matches!(self, FramePhase::Ignored | FramePhase::Steps)
+    }
 }
 
 impl FrameState {
@@ -250,7 +257,7 @@ impl FrameTable {
             was_inspected: false,
             was_closed: false,
             waits_since: None,
-            tried_around: Vec::new(),
+            tried_around: None,
             obstacles: None,
             reason: None,
             alarm_at: None,

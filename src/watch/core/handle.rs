@@ -74,6 +74,10 @@ impl Core {
             frame.around = self.frames_around(&id, &frame.settings);
             self.requested_count -= 1;
             if let Some(state) = self.frames.get_mut(&id) {
+                // One is being written again: it is left out now, and compared when this conversion ends.
+                if state.tried_around.as_ref().is_some_and(|tried| frame.around.len() < tried.len()) {
+                    state.tried_around = None;
+                }
                 state.phase = FramePhase::InProgress;
             }
             self.effects.push(Effect::Start(Start { id, frame }));

@@ -482,10 +482,8 @@ impl Core {
             frame.obstacle_stamp = record.obstacle_stamp().cloned();
         }
         // Frames around it may have come or changed while no daemon ran.
-        if self.averages(id.root) {
-            self.doubtful_around.insert(id.clone());
-        }
         self.set_phase(id, phase);
+        self.doubt_done(id);
     }
 
     /// A file is complete.
@@ -591,7 +589,7 @@ impl Core {
         let Some(frame) = self.frames.get_mut(id) else { return };
         frame.waits_since = None;
         if frame.reason != Some(Reason::FramesAroundChanged) {
-            frame.tried_around.clear();
+            frame.tried_around = None;
         }
         let modified_ns = frame.stamp.modified_ns;
         let sequence = self.sequences.get(frame.sequence);
@@ -713,7 +711,13 @@ impl Core {
     }
 
     pub(super) fn set_phase(&mut self, id: &FrameId, phase: FramePhase) {
+        let was_frame = self.frames.phase(id).is_some_and(FramePhase::is_of_frame);
         let Some(sequence) = self.frames.set_phase(id, phase) else { return };
+        match (was_frame, phase.is_of_frame()) {
+            (false, true) => self.number_frame(id, sequence),
+            (true, false) => self.unnumber_frame(id, sequence),
+            _ => {}
+        }
         if matches!(phase, FramePhase::Held | FramePhase::Done | FramePhase::Failed) {
             self.doubt_frames_around(id);
         }

@@ -116,9 +116,7 @@ impl Core {
         (frame.stamp, frame.attempt_count) = (record.stamp, 0);
         self.failed.remove(id);
         self.set_phase(id, FramePhase::Done);
-        if self.averages(id.root) {
-            self.doubtful_around.insert(id.clone());
-        }
+        self.doubt_done(id);
         // The pipeline has written this record: it is kept here for the core, and the line of the log follows it.
         self.record(self.output_folder_of[id.root], RecordLine::Done(record), Some(log));
     }

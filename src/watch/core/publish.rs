@@ -140,7 +140,7 @@ impl Core {
         for (count, what) in [
             (settling, "not yet complete"),
             (finding_steps, "being indexed"),
-            (held, "waiting until the spacing or camera of the sequence is determined"),
+            (held, "waiting for the spacing or camera of the sequence, or for the frames around them"),
             (retrying, "to retry"),
             (failed, "failed"),
         ] {

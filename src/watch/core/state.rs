@@ -52,8 +52,8 @@ pub(crate) struct Core {
     pub(super) effects: Vec<Effect>,
     /// Held frames that wait for those around them.
     pub(super) waiting_around: BTreeSet<FrameId>,
-    /// Frames that may have to be converted again, because those around them have changed.
-    pub(super) doubtful_around: BTreeSet<FrameId>,
+    /// Frames that may have to be converted again, because those around them have changed; by sequence.
+    pub(super) doubtful_around: BTreeMap<usize, BTreeSet<FrameId>>,
     /// Frames whose views have changed, or that are gone. May contain duplicates.
     pub(super) changed: Vec<FrameId>,
     /// Sequences whose settings were determined.
@@ -149,7 +149,7 @@ impl Core {
             now,
             effects: Vec::new(),
             waiting_around: BTreeSet::new(),
-            doubtful_around: BTreeSet::new(),
+            doubtful_around: BTreeMap::new(),
             changed: Vec::new(),
             changed_sequences: Vec::new(),
         }
