@@ -63,6 +63,21 @@ def reconstruct(
     progress: Callable[[str, float], object] | None,
 ) -> Surface: ...
 
+class Smoothed: ...
+
+def smooth(
+    pairs: _Pairs,
+    all_attributes: bool,
+    attribute_names: list[str],
+    points: NDArray[Any],
+    attributes: list[_Attribute],
+    obstacles: list[Obstacle],
+    formats: list[str],
+    memory: int,
+    threads: int | None,
+) -> Smoothed: ...
+def average(smoothed: Smoothed, others: list[tuple[int, Smoothed]], threads: int | None) -> Surface: ...
+
 class Surface:
     def vertices(self) -> NDArray[np.float32]: ...
     def normals(self) -> NDArray[np.float32]: ...

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -258,6 +258,88 @@ class Sequence:
         pairs = given.pairs(self._settings_on(given))
         return _run(given, pairs, bodies, formats, self._limits, threads, progress)
 
+    def averaged(
+        self,
+        frames: Iterable[Particles | Mapping[str, Any]],
+        *,
+        formats: Iterable[str] = (),
+        threads: int | None = None,
+    ) -> Iterator[Surface]:
+        """The surfaces of consecutive frames, each averaged with those around it as the option `temporal` says.
+
+        Parameters
+        ----------
+        frames : iterable of Particles, or of mappings
+            The frames in order, evenly spaced in time. A mapping has arguments of `reconstruct`: `points`, and
+            where they apply `velocity`, `radii`, `attributes`, `where` and `obstacles`; and `ids`, the number
+            of each particle, by which it is found in the frames around. Particles without ids are followed by
+            their velocities, for the option `time_step`.
+        formats, threads
+            As for the function `reconstruct`.
+
+        Yields
+        ------
+        Surface
+            One for each frame, once the `temporal` frames after it have been read. A frame that fails ends the
+            iteration.
+
+        Examples
+        --------
+        >>> sequence = Sequence(spacing=0.02, temporal=1)                       # doctest: +SKIP
+        >>> frames = ({"points": frame.x, "ids": frame.id} for frame in simulation)    # doctest: +SKIP
+        >>> for number, surface in enumerate(sequence.averaged(frames)):        # doctest: +SKIP
+        ...     surface.write(f"{number:04}.glb")
+        """
+        reach = int(self._options.get("temporal") or 0)
+        extensions, count = extensions_of(formats), thread_count(threads)
+        # The frames that later ones are averaged with, or that wait; the next one to make is at `following`.
+        window: list[tuple[_Given, _native.Smoothed]] = []
+        following = 0
+
+        def surface_of(index: int) -> Surface:
+            given, smoothed = window[index]
+            first, end = max(index - reach, 0), index + reach + 1
+            others = [(at - index, other) for at, (_, other) in enumerate(window[:end]) if at >= first and at != index]
+            return _with_warnings(Surface(_native.average(smoothed, others, count), given.source))
+
+        for frame in frames:
+            given, bodies = self._frame_of(frame)
+            pairs = given.pairs(self._settings_on(given))
+            smoothed = _native.smooth(
+                pairs,
+                given.selects_all,
+                given.selected,
+                given.points,
+                given.attributes,
+                bodies,
+                extensions,
+                self._limits[0],
+                count,
+            )
+            window.append((given, smoothed))
+            if len(window) - following > reach:
+                yield surface_of(following)
+                following += 1
+            while following > reach:
+                window.pop(0)
+                following -= 1
+        for index in range(following, len(window)):
+            yield surface_of(index)
+
+    def _frame_of(self, frame: Particles | Mapping[str, Any]) -> tuple[_Given, list[_native.Obstacle]]:
+        """The particles and the obstacles of a frame for `averaged`."""
+        arguments = {"points": frame} if isinstance(frame, Particles) else dict(frame)
+        obstacles, ids = arguments.pop("obstacles", None), arguments.pop("ids", None)
+        named = {name: arguments.pop(name, None) for name in ("points", "radii", "velocity", "attributes", "where")}
+        if arguments or named["points"] is None:
+            raise TypeError(
+                "a frame must be Particles, or a mapping with `points` and arguments of Sequence.reconstruct, or `ids`"
+            )
+        given = _Given(*named.values())
+        if ids is not None:
+            given._add("id", "id", ids, given.count)
+        return given, self._bodies.natives(obstacles)
+
 
 class _Given:
     """The particles of a frame, in the form that the native module takes."""
@@ -270,7 +352,7 @@ class _Given:
         self.has_radii = radii is not None
         particles = points if isinstance(points, Particles) else None
         self.points = as_points(points if particles is None else particles.positions)
-        count = len(self.points)
+        self.count = count = len(self.points)
         self._mask = None if mask is None else as_mask(mask, count, "where")
         if self._mask is not None:
             self.points = self.points[self._mask]
@@ -371,9 +453,12 @@ def _run(
         thread_count(threads),
         progress,
     )
-    surface = Surface(made, given.source)
+    return _with_warnings(Surface(made, given.source), stacklevel=4)
+
+
+def _with_warnings(surface: Surface, stacklevel: int = 3) -> Surface:
     for warning in surface.warnings:
-        warnings.warn(warning, stacklevel=3)
+        warnings.warn(warning, stacklevel=stacklevel)
     return surface
 
 

@@ -35,7 +35,7 @@ mod _native {
         Obstacle, default_memory, file_hash, format_names, memory_bytes, read, run_command, version,
     };
     #[pymodule_export]
-    use crate::reconstruct::{reconstruct, resolve};
+    use crate::reconstruct::{Smoothed, average, reconstruct, resolve, smooth};
     #[pymodule_export]
     use crate::surface::Surface;
 }

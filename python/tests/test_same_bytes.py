@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import lattice
 
 import pymeniscus as pm
 from pymeniscus._native import format_names
@@ -75,6 +76,64 @@ def test_options_of_files(frame, tmp_path, extension, options):
     (path,) = [path for path in (tmp_path / "command").iterdir() if path.is_file()]
     surface.write(tmp_path / path.name, **options)
     assert (tmp_path / path.name).read_bytes() == path.read_bytes()
+
+
+def test_averages_over_time(tmp_path):
+    """The meshes of `convert`, from files and from arrays. Comments differ: only `convert` names the frames around."""
+    generator = np.random.default_rng(3)
+    frames: list[tuple] = []
+    (tmp_path / "in").mkdir()
+    ids = np.arange(1000)
+    for number in range(1, 6):
+        points = lattice(10) + np.float32(0.02 * number) + generator.normal(scale=0.01, size=(1000, 3)).astype(np.float32)
+        order = generator.permutation(1000)
+        np.savez(tmp_path / "in" / f"dam.{number}.npz", position=points[order], id=ids[order])
+        frames.append((points[order], ids[order]))
+    paths = [tmp_path / "in" / f"dam.{number}.npz" for number in range(1, 6)]
+
+    def meshes(surfaces, out):
+        (tmp_path / out).mkdir()
+        for number, surface in enumerate(surfaces, 1):
+            surface.write(tmp_path / out / f"dam.{number}.obj")
+        return texts(out)
+
+    def texts(out):
+        files = sorted((tmp_path / out).glob("*.obj"))
+        return [[line for line in file.read_text().splitlines() if not line.startswith("#")] for file in files]
+
+    for reach in (1, 3):
+        options = {"spacing": 0.1, "temporal": reach}
+        out = f"command{reach}"
+        pm.convert(tmp_path / "in", tmp_path / out, format="obj", **options)
+        assert len(texts(out)) == 5
+        sequence = pm.Sequence(**options)
+        assert meshes(sequence.averaged(map(pm.read, paths)), f"read{reach}") == texts(out)
+        given = ({"points": points, "ids": ids} for points, ids in frames)
+        assert meshes(sequence.averaged(given, threads=1), f"given{reach}") == texts(out)
+    # Averages change something, unless there is only one frame, or none is to be averaged with.
+    plain = [pm.Sequence(spacing=0.1).reconstruct(points) for points, _ in frames]
+    assert all(one != other for one, other in zip(meshes(plain, "plain"), texts("command1")))
+    assert meshes(pm.Sequence(spacing=0.1).averaged({"points": points} for points, _ in frames), "zero") == texts("plain")
+    assert meshes(pm.Sequence(spacing=0.1, temporal=1).averaged([pm.read(paths[0])]), "one") == texts("plain")[:1]
+
+
+def test_averages_need_particles_that_can_be_followed(block):
+    sequence = pm.Sequence(spacing=0.1, temporal=1)
+    with pytest.raises(pm.OptionError, match="`temporal` averages the frames of a sequence"):
+        sequence.reconstruct(block)
+    with pytest.warns(UserWarning, match="not averaged with the frames around it"):
+        assert len(list(sequence.averaged([{"points": block}] * 3))) == 3
+    velocity = np.ones_like(block)
+    moving = [{"points": block + step * velocity * np.float32(0.05), "velocity": velocity} for step in range(3)]
+    with pytest.warns(UserWarning, match="not averaged with the frames around it"):
+        list(sequence.averaged(moving))
+    followed = pm.Sequence(spacing=0.1, temporal=1, time_step=0.05)
+    assert [surface.report["temporal"]["frames"] for surface in followed.averaged(moving)] == [1, 2, 1]
+    for wrong in ({}, {"velocity": velocity}, {"points": block, "progress": print}):
+        with pytest.raises(TypeError, match="a frame must be Particles"):
+            next(sequence.averaged([wrong]))
+    with pytest.raises(ValueError, match="ids"):
+        next(sequence.averaged([{"points": block, "ids": [1, 2]}]))
 
 
 def test_two_attributes_and_two_obstacles(block, tmp_path):

@@ -190,6 +190,7 @@ pub fn in_memory_attributes(
         radius_scale: options.radius_scale,
         anisotropy: Some(options.anisotropy_kind()),
         attributes: options.attributes.clone(),
+        temporal: options.temporal,
         ..MethodOptions::default()
     };
     let settings = Settings::resolve(&options, None).map_err(|error| error.message(spelled))?;

@@ -4,9 +4,8 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
-use crate::surface::flicker::MovingParticles;
 use crate::surface::options::Settings;
-use crate::surface::particles::{AttributeValues, ParticleCloud, Role, find_attribute};
+use crate::surface::particles::ParticleCloud;
 use crate::surface::reconstruction::{
     self, FrameSurface, MemoryPlan, MemoryPlanError, PlanInputs, ShapedSource, StageError, StagedFrame,
     Storage, Targets, TileStorage, TooLarge,
@@ -20,21 +19,6 @@ use crate::pipeline::input::level_set_file::level_set_limits;
 use crate::pipeline::input::obstacles::FrameObstacles;
 use crate::pipeline::output::writing::attribute_half_width_voxels;
 use crate::pipeline::target::outputs::OutputOptions;
-
-/// The particles of a frame as others of its sequence follow them.
-pub(crate) fn moving_particles(cloud: &ParticleCloud) -> MovingParticles {
-    let attributes = &cloud.attributes;
-    let ids = attributes.iter().find_map(|attribute| match &attribute.values {
-        AttributeValues::Integers(ids) if attribute.role == Role::Id && attribute.arity == 1 => {
-            Some(ids.clone())
-        }
-        _ => None,
-    });
-    let velocities =
-        find_attribute(attributes, "velocity", 3).and_then(|attribute| attribute.values.numbers());
-    let velocities = velocities.map(|numbers| numbers.as_chunks::<3>().0.to_vec());
-    MovingParticles { positions: cloud.positions.clone(), ids, velocities }
-}
 
 /// A frame between two stages.
 pub(crate) type StagedInput = StagedFrame<ShapedSource<FrameInput>>;

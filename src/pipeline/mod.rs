@@ -111,7 +111,6 @@ pub use input::steps::{
 };
 pub use memory::{default_memory_bytes, resident_memory_bytes};
 pub use method::ScratchFile;
-pub(crate) use method::moving_particles;
 pub use observer::Observer;
 pub use output::writing::{encode_level_set, mesh_view, vertex_attributes};
 pub use reconstruct::{LoadedFrame, Reconstruction};

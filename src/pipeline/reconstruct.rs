@@ -90,7 +90,7 @@ impl LoadedFrame {
 
     /// Its particles as other frames follow them.
     pub(crate) fn moving_particles(&self) -> MovingParticles {
-        method::moving_particles(&self.cloud)
+        MovingParticles::of(self.cloud.positions.clone(), &self.cloud.attributes)
     }
 
     /// Its particles, unmodified.

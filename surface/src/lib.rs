@@ -48,9 +48,9 @@ pub use cancel::CancelToken;
 #[doc(hidden)]
 pub use cancel::checkpoint;
 pub use error::Error;
-#[doc(hidden)]
-pub use reconstruct::RequestedParts;
 pub use reconstruct::{MEMORY_LIMIT, Progress, Reconstructor, Surface, reconstruct};
+#[doc(hidden)]
+pub use reconstruct::{RequestedParts, SmoothedFrame};
 
 #[doc(inline)]
 pub use self::{

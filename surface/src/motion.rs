@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use rustc_hash::FxHashMap;
 
 use crate::neighbors::Neighbors;
-use crate::particles::OwnedPositions;
+use crate::particles::{Attribute, AttributeValues, OwnedPositions, Role, find_attribute};
 
 /// How points are carried to the frame before and the frame after.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,6 +42,22 @@ pub struct MovingParticles {
     pub ids: Option<Vec<i64>>,
     /// Velocities, world units per second.
     pub velocities: Option<Vec<[f32; 3]>>,
+}
+
+impl MovingParticles {
+    /// Particles with the ids and the velocities among their attributes.
+    pub fn of(positions: OwnedPositions, attributes: &[Attribute]) -> MovingParticles {
+        let ids = attributes.iter().find_map(|attribute| match &attribute.values {
+            AttributeValues::Integers(ids) if attribute.role == Role::Id && attribute.arity == 1 => {
+                Some(ids.clone())
+            }
+            _ => None,
+        });
+        let velocities =
+            find_attribute(attributes, "velocity", 3).and_then(|attribute| attribute.values.numbers());
+        let velocities = velocities.map(|numbers| numbers.as_chunks::<3>().0.to_vec());
+        MovingParticles { positions, ids, velocities }
+    }
 }
 
 /// The particles of a frame, indexed so that they can be found by place and by id.

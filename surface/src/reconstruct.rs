@@ -1,5 +1,6 @@
 //! Reconstructs surfaces from particles in memory: the entry points for other programs.
 
+use std::borrow::Cow;
 use std::convert::Infallible;
 use std::io;
 use std::sync::Arc;
@@ -11,16 +12,18 @@ use crate::cancel::{CancelToken, catch};
 use crate::error::Error;
 use crate::level_set::NarrowBand;
 use crate::mesh::{Mesh, PositionRounding};
+use crate::motion::MovingParticles;
 use crate::obstacle::{Obstacle, Obstacles};
 use crate::options::{Anisotropy, Length, SequenceSpacing, Settings};
 use crate::parallel::Loops as _;
 use crate::particles::{Attribute, OwnedPositions, ParticleSource, Positions, Shapes, find_attribute};
 use crate::reconstruction::{
-    self, MemoryPlan, MemoryPlanError, PlanInputs, PrecisionLimit, StageError, StagedFrame, Storage, Targets,
-    TileStorage, VoxelTooSmall,
+    self, MemoryPlan, MemoryPlanError, PlanInputs, PrecisionLimit, ShapedSource, StageError, StagedFrame,
+    Storage, Targets, TileStorage, VoxelTooSmall,
 };
 use crate::report::Phase;
 use crate::spacing::{estimate_spacing, median, rounded};
+use crate::temporal::{OtherFrame, TimedFrame};
 use crate::{Options, Report};
 
 /// Reconstructs the surface of one frame of particles: smoothed by thin-plate flow, and kept between two
@@ -154,6 +157,29 @@ pub struct RequestedParts {
     pub allows_empty: bool,
 }
 
+/// A frame of a sequence that has its smoothed level set.
+#[doc(hidden)]
+pub struct SmoothedFrame<'p> {
+    staged: StagedFrame<ShapedSource<ShapedPositions<'p>>>,
+    attributes: Cow<'p, [Attribute]>,
+    /// What others need to be averaged with it, if it is to be averaged.
+    timed: Option<Arc<TimedFrame>>,
+    settings: Settings,
+    wanted: RequestedParts,
+}
+
+impl SmoothedFrame<'_> {
+    /// The resolved options.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// What others need to be averaged with it.
+    pub fn timed(&self) -> Option<Arc<TimedFrame>> {
+        self.timed.clone()
+    }
+}
+
 /// Creates one scratch file.
 type MakeStorage<'a> = dyn FnMut() -> io::Result<Box<dyn Storage>> + Send + 'a;
 
@@ -257,20 +283,57 @@ impl<'a> Reconstructor<'a> {
     ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
         let positions = positions.into();
         // An interruption leaves the settings unchanged or `None`; all other state belongs to the frame.
-        catch(|| self.reconstruct_frame(positions, attributes, wanted))
+        catch(|| {
+            let smoothed = self.smooth_frame(positions, attributes.into(), wanted, false)?;
+            self.contour_frame(smoothed)
+        })
     }
 
-    fn reconstruct_frame(
+    /// The first half of [`reconstruct_parts`](Self::reconstruct_parts), for a frame that is averaged with others
+    /// of its sequence.
+    ///
+    /// # Errors
+    /// Those of [`reconstruct_with`](Self::reconstruct_with).
+    #[doc(hidden)]
+    pub fn smooth_parts(
         &mut self,
-        positions: Positions<'_>,
-        attributes: &[Attribute],
-        RequestedParts { rounding, band_half_width_voxels, allows_empty }: RequestedParts,
+        positions: OwnedPositions,
+        attributes: Vec<Attribute>,
+        wanted: RequestedParts,
+    ) -> Result<SmoothedFrame<'static>, Error> {
+        catch(|| self.smooth_frame(positions.into(), attributes.into(), wanted, true))
+    }
+
+    /// The second half: averages the frame with others that were smoothed with the same settings.
+    ///
+    /// # Errors
+    /// Those of [`reconstruct_with`](Self::reconstruct_with).
+    #[doc(hidden)]
+    pub fn contour_parts(
+        &mut self,
+        mut frame: SmoothedFrame<'_>,
+        others: &[OtherFrame],
     ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
+        catch(|| {
+            if let Some(own) = &frame.timed {
+                frame.staged.average(own, others, &frame.settings);
+            }
+            self.contour_frame(frame)
+        })
+    }
+
+    fn smooth_frame<'p>(
+        &mut self,
+        positions: Positions<'p>,
+        attributes: Cow<'p, [Attribute]>,
+        wanted: RequestedParts,
+        is_averaged: bool,
+    ) -> Result<SmoothedFrame<'p>, Error> {
         self.begin(Phase::Prepare);
-        let chosen = chosen(&self.options, &positions, attributes)?;
+        let allows_empty = wanted.allows_empty;
         let given_count = positions.len();
-        let (positions, attributes) = match &chosen {
-            Some((positions, attributes)) => (Positions::from(positions), &attributes[..]),
+        let (positions, attributes) = match chosen(&self.options, &positions, &attributes)? {
+            Some((positions, attributes)) => (Positions::from(positions), attributes.into()),
             None => (positions, attributes),
         };
         // Nothing can be measured on an empty frame.
@@ -278,36 +341,52 @@ impl<'a> Reconstructor<'a> {
         if positions.is_empty() && !(allows_empty && is_resolved) {
             return Err(no_particles(&self.options, given_count));
         }
-        check_lengths(&positions, attributes)?;
-        let settings = &self.settings_on(&positions, attributes)?.clone();
-        settings.require_single_frame()?;
-        check_required_attributes(settings, attributes)?;
+        check_lengths(&positions, &attributes)?;
+        let settings = &self.settings_on(&positions, &attributes)?.clone();
+        if !is_averaged {
+            settings.require_single_frame()?;
+        }
+        check_required_attributes(settings, &attributes)?;
         let input_count = positions.len();
-        let plan = self.plan(&positions, attributes, settings)?;
+        let plan = self.plan(&positions, &attributes, settings)?;
         self.begin(Phase::Rasterize);
-        let (shapes, shape_stats) = reconstruction::shapes_by_attributes(input_count, attributes, settings);
+        let moving = is_averaged.then(|| MovingParticles::of(positions.borrowed().into(), &attributes));
+        let (shapes, shape_stats) = reconstruction::shapes_by_attributes(input_count, &attributes, settings);
         let particles = ShapedPositions { positions, shapes };
         let Ok((particles, shape_stats)) =
             reconstruction::shape_by_neighbors(particles, shape_stats, settings);
         let tiles = self.tile_storage(&plan).map_err(Error::Scratch)?;
         let obstacles = self.obstacles.clone();
-        let frame = StagedFrame::rasterize(particles, shape_stats, obstacles, settings, tiles)?;
-        if frame.report().particle_count == 0 && !allows_empty {
+        let staged = StagedFrame::rasterize(particles, shape_stats, obstacles, settings, tiles)?;
+        if staged.report().particle_count == 0 && !allows_empty {
             return Err(Error::NoParticles { input_count });
         }
         self.begin(Phase::Smooth);
-        let frame = frame.smooth(settings, &mut |fraction| self.advance(Phase::Smooth, fraction));
-        let frame = frame.map_err(Error::Scratch)?;
+        let staged = staged.smooth(settings, &mut |fraction| self.advance(Phase::Smooth, fraction));
+        let staged = staged.map_err(Error::Scratch)?;
+        let timed = moving.zip(staged.band());
+        let timed = timed.map(|(moving, band)| {
+            Arc::new(TimedFrame::new(Arc::new(band.clone()), moving, settings.spacing))
+        });
+        Ok(SmoothedFrame { staged, attributes, timed, settings: settings.clone(), wanted })
+    }
+
+    fn contour_frame(
+        &mut self,
+        frame: SmoothedFrame<'_>,
+    ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
+        let SmoothedFrame { staged, attributes, settings, wanted, .. } = frame;
+        let RequestedParts { rounding, band_half_width_voxels, .. } = wanted;
         self.begin(Phase::Contour);
-        let (mut surface, particles) = frame.contour(settings, rounding)?;
+        let (mut surface, particles) = staged.contour(&settings, rounding)?;
         if let Some(particles) = particles.filter(|_| settings.attributes.is_some()) {
             self.begin(Phase::Interpolate);
             let (positions, shapes) = particles.into_positions(|given| (given.positions, given.shapes));
             let targets = Targets { vertices: true, band_half_width_voxels };
             let surface = &mut surface;
-            reconstruction::transfer_attributes(surface, positions, &shapes, attributes, settings, targets);
+            reconstruction::transfer_attributes(surface, positions, &shapes, &attributes, &settings, targets);
         }
-        Ok((surface, settings.clone()))
+        Ok((surface, settings))
     }
 
     /// The settings of the sequence. The first call resolves the options, and measures on these particles
@@ -370,7 +449,8 @@ impl<'a> Reconstructor<'a> {
         let selected = attributes.iter().filter(selected);
         let bytes: usize = selected.map(|attribute| attribute.values.size_bytes()).sum();
         let attribute_bytes = bytes as f64 / positions.len().max(1) as f64;
-        let allows_tiles = self.scratch.is_some();
+        // A frame in tiles cannot be averaged with others.
+        let allows_tiles = self.scratch.is_some() && settings.temporal == 0;
         let surroundings = PlanInputs { obstacles: &self.obstacles, attribute_bytes, allows_tiles };
         let obstacle_bytes =
             self.obstacles.members.iter().map(|obstacle| obstacle.size_bytes_max() as u64).sum();

@@ -17,7 +17,7 @@ use meniscus_formats::Format;
 
 use crate::pipeline::{
     AttributeRequest, FrameFile, MeshFile, Sequence, are_same_file, common_step, measure_spacing,
-    moving_particles, parse_particles, read_file, shown,
+    parse_particles, read_file, shown,
 };
 use crate::surface::flicker::{
     CARRY_REACH, Carrier, Distribution, Enclosed, FlickerFrame, MovingParticles, carried_distances, enclosed,
@@ -587,7 +587,7 @@ fn estimated_spacing(frames: &FlickerFrames, filter: Option<&ParticleFilter>) ->
 fn read_moving(path: &Path, filter: Option<&ParticleFilter>) -> Result<MovingParticles> {
     let bytes = read_file(path)?;
     let read = parse_particles(path, &bytes, &AttributeRequest::to_follow(filter))?;
-    Ok(moving_particles(&read.cloud))
+    Ok(MovingParticles::of(read.cloud.positions, &read.cloud.attributes))
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ use crate::pipeline::input::filter::keep_chosen;
 use crate::pipeline::input::frame::Frame;
 use crate::pipeline::input::frame_input::FrameInput;
 use crate::pipeline::input::reading::{read_frame_unchanged, read_particles_of};
-use crate::pipeline::method::{self, StagedInput, moving_particles};
+use crate::pipeline::method::{self, StagedInput};
 use crate::pipeline::reconstruct::LoadedFrame;
 use crate::pipeline::warning::{InputWarning, Warning};
 use crate::surface::flicker::MovingParticles;
@@ -92,7 +92,9 @@ pub(super) fn rasterize(
     let scratch = &frame.outputs.folder;
     shared.refuse_links(scratch)?;
     let moving = match &input {
-        FrameInput::InMemory(cloud) if frame.is_averaged() => Some(moving_particles(cloud)),
+        FrameInput::InMemory(cloud) if frame.is_averaged() => {
+            Some(MovingParticles::of(cloud.positions.clone(), &cloud.attributes))
+        }
         _ => None,
     };
     let work = || {
