@@ -6,11 +6,15 @@ name appears. After the end of the simulator, the last output appears within the
 plus one second. On SIGTERM, the daemon exits with status 0, and leaves only the surfaces and its records.
 `meniscus convert` writes the same bytes for the same frames, with the spacing that the daemon measured on the
 first frame.
+
+Once more with averages over time, and a daemon that is killed again and again while SPlisHSPlasH runs: in the end
+the surfaces have the bytes of `meniscus convert`, too.
 """
 
 import hashlib
 import json
 import os
+import random
 import shutil
 import signal
 import subprocess
@@ -32,6 +36,9 @@ LOOK_EVERY_SECONDS = 0.005
 # Far longer than a simulation and its conversions take.
 GIVE_UP_SECONDS = 300
 WAIT_SECONDS = 30
+# With averages over time: fewer kills than this would not test much.
+KILLS_MIN = 5
+AVERAGED = ["--temporal", "1", "--time-step", "0.125", "--spacing", "0.05"]
 # The daemon's folder for its own files, in the folder of the surfaces.
 STATE_FOLDER = ".meniscus"
 # Without this, Taichi looks for a newer version on the network.
@@ -55,7 +62,44 @@ def main():
             check.line(f"{name}: daemon", *ended_well(daemon, surfaces, outputs(paths)))
             check.line(f"{name}: surfaces", *in_time(paths, end, observer, daemon))
         check.line(f"{name}: bytes", *same_as_converted(paths, folder, observer, daemon))
+    check.line("splishsplash: averaged over time", *averaged())
     check.end()
+
+
+def averaged():
+    """Kills daemons that average surfaces over time while a simulator runs. Checks that the surfaces end with the
+    bytes that `convert` writes."""
+    folder = LIVE / "averaged"
+    shutil.rmtree(folder, ignore_errors=True)
+    cache, surfaces = folder / "cache" / "partio", folder / "surfaces"
+    cache.mkdir(parents=True)
+    chance, kill_count = random.Random(48), 0
+    options = [*AVERAGED, "--temporal-wait", "100ms", "--settle", "50ms"]
+    with (folder / "simulator.log").open("w") as said:
+        command = [str(PYTHON), str(HERE / "simulate_splishsplash.py"), str(folder / "cache")]
+        simulator = subprocess.Popen(command, stdout=said, stderr=said, env={**os.environ, **QUIET})
+    until = time.monotonic() + GIVE_UP_SECONDS
+    while simulator.poll() is None and time.monotonic() < until:
+        with Daemon(cache, surfaces, folder / "daemon.log", *options):
+            time.sleep(chance.uniform(0.1, 1.5))
+        kill_count += 1
+    simulator.kill()
+    paths = sorted(cache.glob("*.bgeo"))
+    faults = [] if simulator.wait() == 0 else ["the simulator failed; see simulator.log"]
+    if kill_count < KILLS_MIN or len(paths) < SIMULATORS["splishsplash"][2]:
+        faults.append(f"{kill_count} kills and {len(paths)} frames are too few")
+    with Daemon(cache, surfaces, folder / "daemon.log", *options, "--once") as daemon:
+        status = daemon.process.wait(timeout=GIVE_UP_SECONDS)
+    status_of_convert, said, _ = convert(paths, folder / "converted", "--format", ",".join(FORMATS), *AVERAGED)
+    if status or status_of_convert:
+        return f"exit status {status} and {status_of_convert}", [*faults, said.strip()]
+    wrong = [
+        name
+        for name in sorted(outputs(paths))
+        if not (surfaces / name).is_file() or digest(surfaces / name) != digest(folder / "converted" / name)
+    ]
+    faults += [f"{name} is something else" for name in wrong[:5]]
+    return f"{len(paths)} frames, {kill_count} kills", faults
 
 
 def simulate(name, folder, observer):
@@ -133,9 +177,9 @@ def same_as_converted(paths, folder, observer, daemon):
 class Daemon:
     """A running `meniscus watch`."""
 
-    def __init__(self, cache, surfaces, log):
+    def __init__(self, cache, surfaces, log, *options):
         self.log = log
-        words = ["watch", cache, "--out", surfaces, "--format", ",".join(FORMATS), "--log", "json"]
+        words = ["watch", cache, "--out", surfaces, "--format", ",".join(FORMATS), "--log", "json", *options]
         with log.open("w") as stderr:
             self.process = subprocess.Popen([str(word) for word in [PROGRAM, *words]], stderr=stderr)
 
