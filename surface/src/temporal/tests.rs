@@ -154,6 +154,73 @@ fn rigid_motion_changes_nothing() {
     assert!(least - 0.05 * SPACING < least_with && most_with < most + 0.05 * SPACING);
 }
 
+/// A standing wave, whose surface is known: averages are no farther from it than single frames are.
+#[test]
+fn wave_stays_where_it_is() {
+    const AMPLITUDE: f64 = 0.8 * SPACING;
+    const WAVE_NUMBER: f64 = std::f64::consts::TAU / (14.0 * SPACING);
+    const SIZE: [i32; 3] = [30, 8, 10];
+    // The phase between two frames.
+    const STEP: f64 = 0.3;
+    // The displacement of a particle at rest, at this phase of the wave: that of deep water.
+    let displaced = |rest: DVec3, phase: f64| {
+        let amplitude = AMPLITUDE * (WAVE_NUMBER * rest.y).exp() * phase.cos();
+        let (sin, cos) = (WAVE_NUMBER * rest.x).sin_cos();
+        rest + DVec3::new(-amplitude * sin, amplitude * cos, 0.0)
+    };
+    let frame = |phase: f64, seed: u32, has_ids: bool| {
+        let [noise, still] = [0.2, 0.0].map(|jitter| block(14, jitter, seed));
+        let [columns, depth, width] = SIZE;
+        let at = |index: i32| {
+            let [x, y, z] =
+                [index % columns, index / columns % depth, index / columns / depth].map(f64::from);
+            SPACING * DVec3::new(x - 14.5, -y - 0.5, z - 4.5)
+        };
+        let rest: Vec<DVec3> = (0..columns * depth * width).map(at).collect();
+        let moved = rest.iter().zip(noise.iter().zip(&still));
+        let points = moved.map(|(rest, (noise, still))| displaced(*rest, phase) + *noise - *still).collect();
+        // Half a step in both directions.
+        let velocity = |rest: &DVec3| {
+            (displaced(*rest, phase + 0.5 * STEP) - displaced(*rest, phase - 0.5 * STEP)) / SECONDS
+        };
+        let velocities = (!has_ids).then(|| rest.iter().map(velocity).collect());
+        Given { points, ids: ids(rest.len()).filter(|_| has_ids), velocities }
+    };
+    // The errors of the upper side in spacings, far from the edges: their standard deviation, and their mean.
+    let errors = |surface: &FrameSurface, phase: f64| {
+        let positions =
+            surface.mesh.positions.iter().map(|position| surface.mesh.origin + position.as_dvec3());
+        let upper = positions
+            .filter(|at| at.x.abs() < 10.0 * SPACING && at.z.abs() < 2.5 * SPACING && at.y > -2.0 * SPACING);
+        let error = |at: DVec3| {
+            let rest = (0..60).fold(at.x, |rest, _| at.x + rest - displaced(DVec3::X * rest, phase).x);
+            (at.y - displaced(DVec3::X * rest, phase).y) / SPACING
+        };
+        let errors: Vec<f64> = upper.map(error).collect();
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        ((errors.iter().map(|error| (error - mean).powi(2)).sum::<f64>() / errors.len() as f64).sqrt(), mean)
+    };
+    // By ids, each particle keeps its noise; by velocities, each frame has its own.
+    for has_ids in [true, false] {
+        let mut squares = [0.0; 2];
+        for (phase, seed) in [(0.0, 1), (1.0, 11), (1.6, 21)] {
+            let given = |at: u32| {
+                let seed = if has_ids { seed } else { seed + at };
+                frame(phase + STEP * (f64::from(at) - 1.0), seed, has_ids)
+            };
+            let [before, middle, after] = [0, 1, 2].map(given);
+            let alone = errors(&alone(&middle), phase);
+            let averaged = errors(&averaged(&middle, [Some(&before), Some(&after)]), phase);
+            assert!((averaged.1 - alone.1).abs() < 0.012, "{phase}: {averaged:?}, {alone:?}");
+            for (square, (deviation, mean)) in squares.iter_mut().zip([alone, averaged]) {
+                *square += deviation * deviation + mean * mean;
+            }
+        }
+        let [alone, averaged] = squares.map(f64::sqrt);
+        assert!(averaged < 1.002 * alone && alone < 0.4, "{averaged} instead of {alone}");
+    }
+}
+
 /// A sequence of one frame is the frame alone, to the bit.
 #[test]
 fn no_other_frames_change_nothing() {
