@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use meniscus::pipeline::OutputFormat;
 use serde_json::Value;
 use tempfile::tempdir;
 
@@ -358,4 +359,33 @@ fn report_replaces_only_regular_files() {
     assert_eq!(linked.status, 0, "{}", linked.err);
     assert!(folder.path().join("link.json").is_symlink());
     assert_eq!(report(&folder.path().join("real.json"))["summary"]["converted"], 1);
+}
+
+/// A crash or a full disk may cut off a result at any byte; the next conversion makes it whole.
+#[test]
+fn results_that_were_cut_off_are_made_again() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    fs::write(path.join("drop.csv"), "x,y,z\n0,0,0\n0.1,0,0\n").expect("written");
+    let formats = OutputFormat::ALL.into_iter().filter(|format| !format.is_picture());
+    let formats: Vec<String> = formats.map(|format| format.to_string()).collect();
+    let formats = formats.join(",");
+    let arguments = ["drop.csv", "--out", "out", "--spacing", "0.1", "--skip-done", "--format", &formats];
+    converted(path, &arguments);
+    let names: Vec<String> =
+        names_in(&path.join("out")).into_iter().filter(|name| name.starts_with("drop.")).collect();
+    let whole = |name: &String| fs::read(path.join("out").join(name)).expect("a result");
+    let results: Vec<Vec<u8>> = names.iter().map(whole).collect();
+    for length in [0, 1, 4, 10, 50, 100, 300, 700, 1000, 1500, 2500, 5000] {
+        for (name, bytes) in names.iter().zip(&results) {
+            fs::write(path.join("out").join(name), &bytes[..bytes.len().min(length)]).expect("written");
+        }
+        converted(path, &arguments);
+        assert!(names.iter().map(whole).eq(results.iter().cloned()), "{length}");
+    }
+    // What another program put in place of a result is not lost.
+    let foreign = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
+    fs::write(path.join("out/drop.ply"), foreign).expect("written");
+    let result = convert(path, &arguments);
+    assert!(result.status == 2 && result.err.contains("out/drop.ply would replace a file"), "{}", result.err);
 }

@@ -341,7 +341,7 @@ fn read_header(cursor: &mut Cursor) -> Result<FileHeader> {
     read_metadata(cursor)?;
     let grid_count = cursor.u32("the number of grids")? as usize;
     if grid_count > cursor.remaining() / DESCRIPTOR_BYTES_MIN {
-        return Err(cursor.invalid(format!(
+        return Err(cursor.truncated(format!(
             "the file declares {grid_count} grids of at least {DESCRIPTOR_BYTES_MIN} bytes each, \
              but only {} bytes follow",
             cursor.remaining()

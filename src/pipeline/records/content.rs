@@ -4,11 +4,15 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use meniscus_formats::compression::read_head;
-use meniscus_formats::{Content, Format, Neighbor, looks_like_particles, neighbor, probe, read_provenance};
+use meniscus_formats::{
+    Content, Format, Limits, Neighbor, OutputFormat, is_complete, looks_like_particles, neighbor, probe,
+    read_particles, read_provenance,
+};
 
+use super::frame_records::FrameRecords;
 use super::provenance::{HEAD_BYTES, are_particles};
 use crate::pipeline::files::input_file::InputFile;
-use crate::pipeline::files::open::open_regular;
+use crate::pipeline::files::open::{open_regular, read_regular};
 use crate::pipeline::input::conflicts::Conflict;
 use crate::pipeline::input::frame::Job;
 use crate::pipeline::input::level_set_file::is_level_set;
@@ -63,7 +67,7 @@ pub fn content(path: &Path) -> io::Result<SniffedContent> {
 }
 
 /// Checks that no output of `job` for the planned frames (input and stem) replaces particles, or a mesh or a
-/// level set of another program: they may be the only copy.
+/// level set of another program: they may be the only copy. Recorded results that were cut off may be replaced.
 ///
 /// # Errors
 /// The first such output, and the number of others; or the first that exists but cannot be read.
@@ -71,7 +75,9 @@ pub fn check_existing(
     planned: &[(PathBuf, String)],
     options: &OutputOptions,
     job: Job,
+    records: Option<&FrameRecords>,
 ) -> Result<(), Conflict> {
+    let recorded = records.map(FrameRecords::output_paths).unwrap_or_default();
     let mut replaced = Vec::new();
     for (_, stem) in planned {
         for &format in &options.formats {
@@ -81,6 +87,7 @@ pub fn check_existing(
             let output = output_path(&options.folder, stem, format);
             match is_irreplaceable(&output, job) {
                 Ok(false) => {}
+                Ok(true) if recorded.contains(&output) && is_cut_off(&output) => {}
                 Ok(true) => replaced.push(output),
                 Err(source) => return Err(Conflict::Unreadable { output, source }),
             }
@@ -111,6 +118,19 @@ fn is_irreplaceable(path: &Path, job: Job) -> io::Result<bool> {
         Some(_) => false,
         None => probe(&head, &name).kind.format() == Some(Format::Vdb) || looks_like_particles(&head, &name),
     })
+}
+
+/// Whether a file ends too early. A result that was cut off, by a crash or a full disk, may lack all that shows that
+/// this program wrote it; a file of another program in its place would be whole.
+pub fn is_cut_off(path: &Path) -> bool {
+    let Ok((head, name)) = head_and_name(path) else { return false };
+    let Ok(mut file) = open_regular(path) else { return false };
+    if probe(&head, &name).kind.format() == Some(Format::Vdb) {
+        return is_complete(OutputFormat::Vdb, &mut file)
+            .map_or_else(|error| error.is_truncated(), |whole| !whole);
+    }
+    let particles = read_regular(path).map(|bytes| read_particles(&bytes, &name, &Limits::default()));
+    particles.is_ok_and(|particles| particles.is_err_and(|error| error.is_truncated()))
 }
 
 fn head_and_name(path: &Path) -> io::Result<(Vec<u8>, String)> {

@@ -35,7 +35,7 @@
 //! same time, and no process waits for another one, also on network file systems. Locks do not always reach other
 //! machines, so the name of a file contains a hash of the machine's name.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -546,6 +546,12 @@ impl FrameRecords {
         let content = self.content();
         let done = content.done.iter().filter(|(_, records)| !records.is_empty());
         done.map(|(name, records)| (name.clone(), records.clone())).collect()
+    }
+
+    /// The paths of all recorded outputs.
+    pub fn output_paths(&self) -> HashSet<PathBuf> {
+        let content = self.content();
+        content.done.values().flatten().flat_map(|record| record.output_paths(&self.folder)).collect()
     }
 
     /// The frames that were never converted, by name.

@@ -7,8 +7,8 @@ use std::time::Instant;
 use meniscus_formats::{Completeness, completeness};
 
 use crate::pipeline::{
-    ChangedOutput, Conflict, FileStamp, ObstacleStamps, SniffedContent, content, may_hold_several,
-    open_regular,
+    ChangedOutput, Conflict, FileStamp, ObstacleStamps, SniffedContent, content, is_cut_off,
+    may_hold_several, open_regular,
 };
 use crate::watch::config::{StabilityTimeouts, Watch};
 use crate::watch::core::completeness::{
@@ -78,11 +78,13 @@ impl Root {
         }
         let contents = contents_of(id);
         let conflict = match contents {
-            FileContents::Frame | FileContents::MaybeSteps => match self.conflict_of(outputs) {
-                // The other file only seems to be gone: the pipeline does not check it again.
-                None if !self.output.is_in_place() => return InspectionResult::OutputsAway,
-                conflict => conflict,
-            },
+            FileContents::Frame | FileContents::MaybeSteps => {
+                match self.conflict_of(outputs, recorded.as_ref()) {
+                    // The other file only seems to be gone: the pipeline does not check it again.
+                    None if !self.output.is_in_place() => return InspectionResult::OutputsAway,
+                    conflict => conflict,
+                }
+            }
             FileContents::NotParticles | FileContents::Neighbor(_) | FileContents::Unreadable(_) => None,
         };
         InspectionResult::Complete(Complete { proof, changed_output, contents, conflict })
@@ -94,10 +96,14 @@ impl Root {
     }
 
     /// Why these outputs must not be written: one would replace particles, a mesh or a level set of
-    /// another program, or an obstacle of any watched folder. `None` if nothing is wrong.
-    fn conflict_of(&self, outputs: &[PathBuf]) -> Option<String> {
+    /// another program, or an obstacle of any watched folder. `None` if nothing is wrong. A recorded output that
+    /// was cut off since it was written may be replaced.
+    fn conflict_of(&self, outputs: &[PathBuf], recorded: Option<&Recorded>) -> Option<String> {
+        let done = recorded.and_then(|recorded| recorded.record.if_done());
+        let own: Vec<PathBuf> =
+            done.into_iter().flat_map(|record| record.output_paths(&self.output.folder)).collect();
         for output in outputs {
-            if replaces_data(output) {
+            if replaces_data(output) && !(own.contains(output) && is_cut_off(output)) {
                 return Some(replacement(output));
             }
             for obstacles in &self.obstacles {
