@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use meniscus::pipeline::{InputWarning, ScratchFile, Warning};
+use meniscus::pipeline::{InputWarning, ScratchFile, Warning, not_followed};
 use meniscus::surface::options::Preset;
 use meniscus::surface::reconstruction::FrameSurface;
 use meniscus::surface::spacing::estimate_spacing;
@@ -176,8 +176,9 @@ pub(crate) fn average(
     let (surface, settings) = made.map_err(|error| of_method(error, Path::new("")))?;
     let mut warnings = smoothed.warnings.clone();
     warnings.extend(emptiness(&surface));
-    if !others.is_empty() && surface.report.temporal.frame_count == 0 && surface.report.particle_count > 0 {
-        warnings.push(Warning::Input(InputWarning::NotFollowed).to_string());
+    if !others.is_empty() && surface.report.particle_count > 0 {
+        let warning = not_followed(&surface.report.temporal).map(Warning::Input);
+        warnings.extend(warning.map(|warning| warning.to_string()));
     }
     Ok(Surface::new(surface, Arc::new(settings), smoothed.obstacles.clone(), smoothed.prepared, warnings))
 }

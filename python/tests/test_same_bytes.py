@@ -132,7 +132,7 @@ def test_averages_need_particles_that_can_be_followed(block):
     for wrong in ({}, {"velocity": velocity}, {"points": block, "progress": print}):
         with pytest.raises(TypeError, match="a frame must be Particles"):
             next(sequence.averaged([wrong]))
-    with pytest.raises(ValueError, match="ids"):
+    with pytest.raises(ValueError, match="attribute `id`"):
         next(sequence.averaged([{"points": block, "ids": [1, 2]}]))
 
 

@@ -85,7 +85,7 @@ pub use files::sweep::{remove_left_behind, sweep_temporaries, sweep_temporaries_
 pub use in_memory::{
     EmbeddedSurface, InMemoryObstacle, in_memory_attributes, obstacle_warnings, requested_parts,
 };
-pub use input::around::{AroundFrame, NumberedFrames, RecordedAround};
+pub use input::around::{AroundFrame, NumberedFrames, RecordedAround, not_followed};
 pub use input::attributes::AttributeRequest;
 pub use input::bounds::{EMPTY_BOUNDS, bounds_of_particles, sequence_bounds};
 pub use input::conflicts::{Conflict, check_outputs};

@@ -61,6 +61,8 @@ pub enum InputWarning {
     Irregular { irregularity: f64, suitable: Preset },
     /// The particles cannot be followed to the frames around: they have no ids, and no velocities with a time step.
     NotFollowed,
+    /// The frames around hardly count, because this share of their weight was confident.
+    HardlyFollowed { confidence: f64 },
     /// The particles are too few to choose a preset by them.
     PresetNotMeasured { used: Preset },
     /// All particles have the same coordinate along this axis.
@@ -299,6 +301,12 @@ impl fmt::Display for InputWarning {
             InputWarning::NotFollowed => f.write_str(
                 "the surface is not averaged with the frames around it: the particles have no ids of their own, \
                  and no velocities with a time step, by which they could be followed",
+            ),
+            InputWarning::HardlyFollowed { confidence } => write!(
+                f,
+                "the surface is hardly averaged with the frames around it: the particles move so irregularly that these \
+                 count {} %; check the ids, or the unit and the time step of the velocities",
+                (100.0 * confidence).round()
             ),
             InputWarning::PresetNotMeasured { used } => write!(
                 f,

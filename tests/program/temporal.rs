@@ -160,6 +160,8 @@ fn particles_are_followed_by_velocities_or_the_frame_stays_as_it_is() {
     }
     let followed = convert(folder, "followed", &["--time-step", "0.04", "--report", "report.json"]);
     assert!(!followed.err.contains("not averaged"), "{}", followed.err);
+    let wrong = convert(folder, "wrong", &["--time-step", "5"]);
+    assert!(wrong.err.contains("hardly averaged with the frames around it"), "{}", wrong.err);
     let report = fs::read_to_string(folder.join("report.json")).expect("a report");
     let report: serde_json::Value = serde_json::from_str(&report).expect("JSON");
     let confidence = report["frames"][2]["temporal"]["confidence"].as_f64();

@@ -15,7 +15,8 @@ use super::steps::{IndexPolicy, file_of, frame_name};
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::json::hex;
 use crate::pipeline::files::stamp::FileStamp;
-use crate::pipeline::warning::{FrameWarning, Warning};
+use crate::pipeline::warning::{FrameWarning, InputWarning, Warning};
+use crate::surface::temporal::TemporalReport;
 
 /// A frame before or after another one.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -254,6 +255,18 @@ pub(crate) fn not_averaged(error: &FrameError) -> Warning {
 
 /// Recorded of a frame whose obstacles cannot be found.
 pub(crate) const MISSING_OBSTACLES: &str = "missing";
+
+/// A warning if a surface was not averaged, or hardly, although there are frames around it.
+pub fn not_followed(report: &TemporalReport) -> Option<InputWarning> {
+    match report.confidence {
+        _ if report.frame_count == 0 => Some(InputWarning::NotFollowed),
+        confidence if confidence < CONFIDENCE_MIN => Some(InputWarning::HardlyFollowed { confidence }),
+        _ => None,
+    }
+}
+
+/// The confidence of splashes is above 0.9.
+const CONFIDENCE_MIN: f64 = 0.5;
 
 fn content_of(
     around: &AroundFrame,

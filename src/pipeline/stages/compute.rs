@@ -11,7 +11,7 @@ use twox_hash::XxHash3_128;
 
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::around::{
-    AroundFrame, FoundFrame, FrameContent, MISSING_OBSTACLES, not_averaged,
+    AroundFrame, FoundFrame, FrameContent, MISSING_OBSTACLES, not_averaged, not_followed,
 };
 use crate::pipeline::input::filter::keep_chosen;
 use crate::pipeline::input::frame::Frame;
@@ -19,7 +19,7 @@ use crate::pipeline::input::frame_input::FrameInput;
 use crate::pipeline::input::reading::{read_frame_unchanged, read_particles_of};
 use crate::pipeline::method::{self, StagedInput};
 use crate::pipeline::reconstruct::LoadedFrame;
-use crate::pipeline::warning::{InputWarning, Warning};
+use crate::pipeline::warning::Warning;
 use crate::surface::flicker::MovingParticles;
 use crate::surface::options::Settings;
 use crate::surface::reconstruction::FrameSurface;
@@ -156,8 +156,8 @@ pub(super) fn contour(
             method::contour(staged, &frame.settings, &frame.outputs)
         };
         let surface = shared.measured(Stage::Contour, frame, info, work)?;
-        if other_count > 0 && surface.report.temporal.frame_count == 0 {
-            warnings.push(Warning::Input(InputWarning::NotFollowed));
+        if other_count > 0 {
+            warnings.extend(not_followed(&surface.report.temporal).map(Warning::Input));
         }
         info.around = around;
         info.noted.warnings.append(&mut warnings);
