@@ -125,7 +125,8 @@ method_options! {
             /// Maximum ratio of a particle's longest semi-axis to its shortest, 1 to 8 [default: 4]
             #[value(named("K"))]
             max_stretch: f64 in 1.0..=MAX_STRETCH_MAX
-                => [OptionName::new("anisotropy")], |options, _| options.anisotropy_kind() != AnisotropyKind::None,
+                => [OptionName::with_value("anisotropy", "neighbors"), OptionName::with_value("anisotropy", "velocity")],
+                |options, _| options.anisotropy_kind() != AnisotropyKind::None,
 
             /// Smallest semi-axis of flattened particles, 0.9h to r_min, for --anisotropy neighbors; smaller
             /// makes thinner sheets [default: 0.36d]
