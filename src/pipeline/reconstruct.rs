@@ -45,7 +45,7 @@ pub struct Reconstruction {
 }
 
 /// A frame that has its smoothed level set.
-pub(crate) struct SmoothedFrame {
+pub(crate) struct SmoothedAlone {
     pub(crate) frame: StagedInput,
     /// When computing began.
     start: Instant,
@@ -118,7 +118,7 @@ impl LoadedFrame {
     ) -> Result<Reconstruction, FrameError> {
         let path = &*self.path;
         let smoothed = self.clone().smooth(settings, obstacles, outputs, memory_bytes)?;
-        let SmoothedFrame { frame, start, obstacles, mut warnings } = smoothed;
+        let SmoothedAlone { frame, start, obstacles, mut warnings } = smoothed;
         let surface = stage(path, Stage::Contour, || method::contour(frame, settings, outputs))?;
         let seconds = start.elapsed().as_secs_f64();
         warnings.extend(surface_warnings(&surface, outputs, settings));
@@ -133,7 +133,7 @@ impl LoadedFrame {
         obstacles: &ObstacleFiles,
         outputs: &OutputOptions,
         memory_bytes: u64,
-    ) -> Result<SmoothedFrame, FrameError> {
+    ) -> Result<SmoothedAlone, FrameError> {
         let LoadedFrame { path, number, cloud, mut warnings, .. } = self;
         let path = &*path;
         let mut loaded = stage(path, Stage::Read, || {
@@ -150,7 +150,7 @@ impl LoadedFrame {
         let rasterize = || method::rasterize(given, loaded, settings, &plan, &outputs.folder);
         let frame = stage(path, Stage::Rasterize, rasterize)?;
         let frame = stage(path, Stage::Smooth, || method::smooth(frame, settings, &mut |_| {}))?;
-        Ok(SmoothedFrame { frame, start, obstacles, warnings })
+        Ok(SmoothedAlone { frame, start, obstacles, warnings })
     }
 }
 
