@@ -259,6 +259,15 @@ fn volumes_ghosts_and_lag_are_measured() {
     for words in ["1 ghost, largest volume step 5.4", " %, lag 0.2"] {
         assert!(result.out.contains(words), "{words} is not in {}", result.out);
     }
+    // A mesh turned inside out encloses nothing.
+    let (positions, triangles) = sphere(1.05, 2.0 * STEP);
+    let inward: Vec<[u32; 3]> = triangles.iter().map(|[a, b, c]| [*a, *c, *b]).collect();
+    write_mesh(&folder.path().join("dam.2.obj"), &(positions, inward));
+    let inside_out = run(&folder, &["--csv", "t.csv", "--spacing", "0.1", "--frames", "2"]);
+    assert_eq!(inside_out.status, 0, "{}", inside_out.err);
+    let table = fs::read_to_string(folder.path().join("t.csv")).expect("a table");
+    assert!(!["NaN", "inf"].iter().any(|word| table.contains(word)), "{table}");
+    assert!(inside_out.out.contains("largest volume step 0.00 %"), "{}", inside_out.out);
     fs::remove_file(folder.path().join("own/dam.2.obj")).expect("removed");
     let some = run(&folder, &["--unaveraged", "own", "--spacing", "0.1"]);
     assert!(some.err.contains("--unaveraged: no mesh for frame 2"), "{}", some.err);

@@ -160,7 +160,8 @@ impl Scoring<'_> {
             carried_distances(from, to, carrier, spacing, samples).into_iter().flatten().collect()
         };
         let drifts = [distances(middle, after, carrier), distances(before, after, carrier.over(2))];
-        let volume_step = (next_volume - enclosed.volume) / enclosed.volume;
+        // An open mesh may enclose nothing.
+        let volume_step = (enclosed.volume > 0.0).then(|| next_volume / enclosed.volume - 1.0);
         let mut scores = FrameScores { flicker: found, drifts, enclosed, volume_step, lag: None };
         let unaveraged = self.frames.files.get(&number).and_then(|files| files.unaveraged.as_ref());
         if let Some(own) = unaveraged.map(|path| catch_panic(path, || read_surface(path))) {
@@ -298,7 +299,7 @@ fn report(
     console.print_line(format_args!("spacing {}; points are tracked by {carrier}", significant(spacing)));
     let scored = || totals.frames.iter().filter(|frame| frame.summary.count > 0);
     let ghost_count: usize = scored().map(|frame| frame.enclosed.ghost_count).sum();
-    let volume_step = scored().map(|frame| frame.volume_step.abs()).fold(0.0, f64::max);
+    let volume_step = scored().filter_map(|frame| frame.volume_step).map(f64::abs).fold(0.0, f64::max);
     let lags: Vec<f64> = scored().filter_map(|frame| frame.lag).collect();
     let mut line =
         format!("{}, largest volume step {:.2} %", pluralize(ghost_count, "ghost"), 100.0 * volume_step);

@@ -22,8 +22,8 @@ pub(super) struct ScoredFrame {
     /// The distances of carried points from the surface: see [`DriftValues`].
     pub(super) drifts: [Distribution; 2],
     pub(super) enclosed: Enclosed,
-    /// The change of the volume to the next frame, relative to the volume.
-    pub(super) volume_step: f64,
+    /// The change of the volume to the next frame, relative to the volume; `None` if that is not positive.
+    pub(super) volume_step: Option<f64>,
     /// See [`lag`](crate::surface::flicker::lag); `None` if it is not measured.
     pub(super) lag: Option<f64>,
     pub(super) untracked_count: usize,
@@ -45,7 +45,7 @@ pub(super) struct FrameScores {
     pub(super) flicker: FrameFlicker,
     pub(super) drifts: DriftValues,
     pub(super) enclosed: Enclosed,
-    pub(super) volume_step: f64,
+    pub(super) volume_step: Option<f64>,
     pub(super) lag: Option<f64>,
 }
 
@@ -187,7 +187,8 @@ pub(super) fn write_frames(frames: &[ScoredFrame], out: &mut dyn Write) -> io::R
             ..
         } = frame;
         let (first, lag_2) = (first.rms, lag_2.rms);
-        let lag = lag.map_or(String::new(), |lag| lag.to_string());
+        let [volume_step, lag] =
+            [volume_step, lag].map(|value| value.map_or(String::new(), |value| value.to_string()));
         let Distribution { count, rms, median, percentile_99, max } = summary;
         write!(out, "{number},{count},{untracked_count},{clamped_count}")?;
         write!(out, ",{volume},{piece_count},{ghost_count},{volume_step},{lag}")?;
@@ -372,7 +373,7 @@ mod tests {
                 flicker: FrameFlicker { points, untracked_count: 1, clamped_count: 0 },
                 drifts: [values.to_vec(), Vec::new()],
                 enclosed: Enclosed::default(),
-                volume_step: 0.0,
+                volume_step: None,
                 lag: None,
             },
         )
