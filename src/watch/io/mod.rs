@@ -7,12 +7,11 @@
 //!   usd_stages     the USD stages of a folder of outputs
 //!   slow           measuring, finding steps
 //!   pipeline       converts frames
-//!   inspect, writers, scan, selection, fs_events, mounts, lock   what the workers call
+//!   writers, scan, selection, fs_events, mounts, lock   what the workers call
 //! ```
 
 pub(crate) mod error;
 mod fs_events;
-mod inspect;
 pub mod lock;
 mod mounts;
 mod output_folder;
