@@ -98,10 +98,10 @@ pub(crate) fn convert_folder(from: &Path, to: &Path) -> Result<usize, Box<dyn Er
     }
     let pool = ThreadPoolBuilder::new().build()?;
     let mut failures = Vec::new();
-    pipeline::run(&frames, &PipelineOptions::new(&pool), |_, outcome| {
-        if let Outcome::Failed(error) = outcome {
-            failures.push(error.to_string());
-        }
+    pipeline::run(&frames, &PipelineOptions::new(&pool), |_, outcome| match outcome {
+        Outcome::Converted(_) | Outcome::AlreadyDone { .. } => {}
+        Outcome::Failed(error) => failures.push(error.to_string()),
+        _ => failures.push("not converted: its file changed meanwhile".to_owned()),
     });
     if failures.is_empty() { Ok(frames.len()) } else { Err(failures.join("\n").into()) }
 }

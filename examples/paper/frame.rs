@@ -30,7 +30,7 @@ const RATIOS: [f64; 5] = [1.0, 1.25, 1.5, 2.0, 4.0];
 /// steps of 20, or 5 in 500 explicit steps of 0.01.
 const TIMES: [f64; 7] = [0.0, 5.0, 20.0, 40.0, 60.0, 80.0, 100.0];
 
-/// Varies the radius ratio, the voxel size and the smoothing time; the last with the bending energy.
+/// Varies the radius ratio, the voxel size and the smoothing time, and plots the bending energy over the last.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let files = Files::new(folder, "frame");
     let particles = particles()?;

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! The shape has three advantages. It is one smooth piece. It curves inward as much as outward, because the
-//! solid and the space around it are alike. A point of a lattice row needs only three multiplications,
+//! solid and the space around it are alike. The gyroid at a lattice point needs only three multiplications,
 //! because the sines come from tables.
 //!
 //! Particles are the points of a cubic lattice inside the solid, each displaced by up to a fifth of the

@@ -255,7 +255,7 @@ fn letter_index(letters: &str, component: &str) -> Option<usize> {
 struct Family<'a> {
     stem: &'a str,
     spelling: Spelling,
-    /// Components and their columns, in order; the first column of each component.
+    /// Each component with its column, in order; of several columns of one component, the first.
     components: Vec<(usize, usize)>,
 }
 

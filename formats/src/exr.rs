@@ -161,7 +161,7 @@ pub(crate) fn bytes_declared(
     let Some(last) = last else { return Ok(None) };
     let block = read_at(last)?;
     let mut cursor = bytes::Cursor::new(FORMAT, Endian::Little, &block, 0);
-    cursor.take(8, "the offset of a block")?;
+    cursor.take(8, "the part and the first line of a block")?;
     let data_bytes = cursor.u32("the size of a block")?;
     Ok(last.checked_add(BLOCK_HEAD_BYTES + u64::from(data_bytes)))
 }

@@ -74,6 +74,7 @@ def smooth(
     obstacles: list[Obstacle],
     formats: list[str],
     memory: int,
+    scratch: str | None,
     threads: int | None,
 ) -> Smoothed: ...
 def average(smoothed: Smoothed, others: list[tuple[int, Smoothed]], threads: int | None) -> Surface: ...

@@ -248,10 +248,7 @@ class Sequence:
         TypeError, ValueError, OptionError, ParticleError, MemoryLimitError, OSError, KeyboardInterrupt
             As for the function `reconstruct`. A frame that fails does not change the sequence.
         """
-        if isinstance(where, str):
-            raise TypeError("a condition as text is an option of Sequence: pass a mask, or Sequence(where=...)")
-        given = _Given(points, radii, velocity, attributes, where)
-        bodies = self._bodies.natives(obstacles)
+        given, bodies = self._frame_of(points, radii, velocity, attributes, where, obstacles)
         if not self._has_frame:
             self._has_frame = True
             _warn_of_ignored(given, self._options, bodies)
@@ -281,7 +278,7 @@ class Sequence:
         ------
         Surface
             One for each frame, once the `temporal` frames after it have been read. A frame that fails ends the
-            iteration.
+            iteration, after the surfaces of those before it.
 
         Examples
         --------
@@ -293,30 +290,38 @@ class Sequence:
         reach = int(self._options.get("temporal") or 0)
         extensions, count = extensions_of(formats), thread_count(threads)
         # The frames that later ones are averaged with, or that wait; the next one to make is at `following`.
-        window: list[tuple[_Given, _native.Smoothed]] = []
-        following = 0
+        window: list[tuple[tuple[str, str] | None, _native.Smoothed]] = []
+        following, failure = 0, None
 
         def surface_of(index: int) -> Surface:
-            given, smoothed = window[index]
-            first, end = max(index - reach, 0), index + reach + 1
-            others = [(at - index, other) for at, (_, other) in enumerate(window[:end]) if at >= first and at != index]
-            return _with_warnings(Surface(_native.average(smoothed, others, count), given.source))
+            source, smoothed = window[index]
+            first = max(index - reach, 0)
+            around = enumerate(window[first : index + reach + 1], first)
+            others = [(at - index, other) for at, (_, other) in around if at != index]
+            return _with_warnings(Surface(_native.average(smoothed, others, count), source))
 
         for frame in frames:
-            given, bodies = self._frame_of(frame)
-            pairs = given.pairs(self._settings_on(given))
-            smoothed = _native.smooth(
-                pairs,
-                given.selects_all,
-                given.selected,
-                given.points,
-                given.attributes,
-                bodies,
-                extensions,
-                self._limits[0],
-                count,
-            )
-            window.append((given, smoothed))
+            try:
+                given, bodies = self._frame_of(**_arguments_of(frame))
+                if not self._has_frame:
+                    self._has_frame = True
+                    _warn_of_ignored(given, self._options, bodies)
+                pairs = given.pairs(self._settings_on(given))
+                smoothed = _native.smooth(
+                    pairs,
+                    given.selects_all,
+                    given.selected,
+                    given.points,
+                    given.attributes,
+                    bodies,
+                    extensions,
+                    *self._limits,
+                    count,
+                )
+            except Exception as error:
+                failure = error
+                break
+            window.append((given.source, smoothed))
             if len(window) - following > reach:
                 yield surface_of(following)
                 following += 1
@@ -325,20 +330,38 @@ class Sequence:
                 following -= 1
         for index in range(following, len(window)):
             yield surface_of(index)
+        if failure is not None:
+            raise failure
 
-    def _frame_of(self, frame: Particles | Mapping[str, Any]) -> tuple[_Given, list[_native.Obstacle]]:
-        """The particles and the obstacles of a frame for `averaged`."""
-        arguments = {"points": frame} if isinstance(frame, Particles) else dict(frame)
-        obstacles, ids = arguments.pop("obstacles", None), arguments.pop("ids", None)
-        named = {name: arguments.pop(name, None) for name in ("points", "radii", "velocity", "attributes", "where")}
-        if arguments or named["points"] is None:
-            raise TypeError(
-                "a frame must be Particles, or a mapping with `points` and arguments of Sequence.reconstruct, or `ids`"
-            )
-        given = _Given(*named.values())
+    def _frame_of(
+        self,
+        points: Any,
+        radii: Any = None,
+        velocity: Any = None,
+        attributes: Attributes = None,
+        where: Any = None,
+        obstacles: ObstacleLike | Iterable[ObstacleLike] | None = None,
+        ids: Any = None,
+    ) -> tuple[_Given, list[_native.Obstacle]]:
+        """The particles and the obstacles of a frame."""
+        if isinstance(where, str):
+            raise TypeError("a condition as text is an option of Sequence: pass a mask, or Sequence(where=...)")
+        given = _Given(points, radii, velocity, attributes, where)
         if ids is not None:
             given._add("id", "id", ids, given.count)
         return given, self._bodies.natives(obstacles)
+
+
+def _arguments_of(frame: Particles | Mapping[str, Any]) -> dict[str, Any]:
+    """The arguments of `Sequence._frame_of` for a frame of `Sequence.averaged`."""
+    if isinstance(frame, Particles):
+        return {"points": frame}
+    known = {"points", "radii", "velocity", "attributes", "where", "obstacles", "ids"}
+    if not isinstance(frame, Mapping) or "points" not in frame or not known.issuperset(frame):
+        raise TypeError(
+            "a frame must be Particles, or a mapping with `points` and arguments of Sequence.reconstruct, or `ids`"
+        )
+    return dict(frame)
 
 
 class _Given:
@@ -453,12 +476,14 @@ def _run(
         thread_count(threads),
         progress,
     )
-    return _with_warnings(Surface(made, given.source), stacklevel=4)
+    return _with_warnings(Surface(made, given.source))
 
 
-def _with_warnings(surface: Surface, stacklevel: int = 3) -> Surface:
+def _with_warnings(surface: Surface) -> Surface:
+    """Warn of what the surface has warnings about. They point to the caller of the public function, which is three calls
+    up."""
     for warning in surface.warnings:
-        warnings.warn(warning, stacklevel=stacklevel)
+        warnings.warn(warning, stacklevel=4)
     return surface
 
 

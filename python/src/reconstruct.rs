@@ -130,6 +130,7 @@ pub(crate) fn smooth(
     obstacles: Vec<Py<Obstacle>>,
     formats: Vec<String>,
     memory: u64,
+    scratch: Option<PathBuf>,
     threads: Option<usize>,
 ) -> PyResult<Smoothed> {
     let mut options = parse(&pairs)?;
@@ -139,7 +140,7 @@ pub(crate) fn smooth(
     check_finite(&positions)?;
     let prepared = prepared_for(&formats)?;
     let obstacles: Vec<&Obstacle> = obstacles.iter().map(Py::get).collect();
-    let request = FrameRequest { options, positions, attributes, obstacles, memory, scratch: None };
+    let request = FrameRequest { options, positions, attributes, obstacles, memory, scratch };
     let made = run_with_progress(py, threads, None, |advance| {
         let (mut reconstructor, attributes, mut warnings) = request.prepare(advance)?;
         let frame = reconstructor.smooth_parts(request.positions.clone().into(), attributes, prepared);
@@ -147,7 +148,8 @@ pub(crate) fn smooth(
         warnings.extend(Obstacle::warnings(&request.obstacles, &request.positions, frame.settings()));
         Ok((frame, warnings))
     })?;
-    let (frame, warnings) = made.map_err(|failure: Failure| failure.raised(Path::new("")))?;
+    let folder = request.scratch.clone().unwrap_or_default();
+    let (frame, warnings) = made.map_err(|failure: Failure| failure.raised(&folder))?;
     let (timed, obstacles) = (frame.timed(), request.recorded());
     Ok(Smoothed { frame: Mutex::new(Some(frame)), timed, obstacles, prepared, warnings })
 }
@@ -166,7 +168,8 @@ pub(crate) fn average(
     let frame =
         frame.ok_or_else(|| PyRuntimeError::new_err("internal error: the frame has its surface already"))?;
     let other = |(steps, other): &(i32, Py<Smoothed>)| {
-        Some(OtherFrame { frame: other.get().timed.clone()?, steps: *steps })
+        let frame = other.get().timed.clone().filter(|timed| !timed.is_empty())?;
+        Some(OtherFrame { frame, steps: *steps })
     };
     let others: Vec<OtherFrame> = others.iter().filter_map(other).collect();
     let made = run_with_progress(py, threads, None, |_| {
@@ -176,7 +179,7 @@ pub(crate) fn average(
     let (surface, settings) = made.map_err(|error| of_method(error, Path::new("")))?;
     let mut warnings = smoothed.warnings.clone();
     warnings.extend(emptiness(&surface));
-    if !others.is_empty() && surface.report.particle_count > 0 {
+    if !others.is_empty() {
         let warning = not_followed(&surface.report.temporal).map(Warning::Input);
         warnings.extend(warning.map(|warning| warning.to_string()));
     }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from conftest import lattice
@@ -134,6 +136,49 @@ def test_averages_need_particles_that_can_be_followed(block):
             next(sequence.averaged([wrong]))
     with pytest.raises(ValueError, match="attribute `id`"):
         next(sequence.averaged([{"points": block, "ids": [1, 2]}]))
+
+
+def test_averages_survive_frames_that_fail(block):
+    """The surfaces before a frame that fails come first, and warnings point to the caller."""
+    frames = [{"points": block + np.float32(0.01 * number), "ids": np.arange(1000)} for number in range(5)]
+    frames[3] = {"points": np.full((5, 3), np.nan), "ids": np.arange(5)}
+    found = []
+    with pytest.raises(pm.ParticleError, match="none of the 5 positions is finite"):
+        found.extend(surface.report["temporal"]["frames"] for surface in _averaged(frames, temporal=2))
+    # `extend` keeps what came before the error.
+    assert found == [2, 2, 2]
+    with pytest.warns(UserWarning, match="not averaged with the frames around it") as warned:
+        list(_averaged([{"points": block}] * 2, temporal=1))
+    assert {warning.filename for warning in warned} == {__file__}
+    with pytest.warns(UserWarning, match="time_step"):
+        list(_averaged([{"points": block}], time_step=0.1))
+
+
+def _averaged(frames, **options):
+    yield from pm.Sequence(spacing=0.1, **options).averaged(frames)
+
+
+def test_ids_that_are_passed_win_over_those_of_a_file(block, tmp_path):
+    ids = np.arange(1000)
+    for number in range(2):
+        moved = block + np.float32(0.02 * number)
+        np.savez(tmp_path / f"dam.{number}.npz", position=moved, particle_id=np.roll(ids, 500 * number))
+    read = [pm.read(tmp_path / f"dam.{number}.npz") for number in range(2)]
+    own = list(_averaged([{"points": particles, "ids": ids} for particles in read], temporal=1))
+    assert all(surface.report["temporal"]["confidence"] > 0.9 for surface in own)
+
+
+def test_averages_share_the_memory_limit(block):
+    frames = [{"points": block, "ids": np.arange(1000)}] * 2
+    needed = {}
+    for reach in (1, 3):
+        with pytest.raises(pm.MemoryLimitError) as error:
+            list(pm.Sequence(spacing=0.1, temporal=reach, memory="1MiB").averaged(frames))
+        needed[reach] = float(re.search(r"needs at least (\d+) MiB", str(error.value))[1])
+    # Four and eight frames are in memory at once.
+    assert needed[3] / needed[1] == pytest.approx(2, rel=0.1)
+    assert len(list(pm.Sequence(spacing=0.1, temporal=1, memory=f"{needed[1]:.0f}MiB").averaged(frames))) == 2
+
 
 
 def test_two_attributes_and_two_obstacles(block, tmp_path):

@@ -117,7 +117,7 @@ impl<'a> Batch<'a> {
         self.record.add_sequence(record)
     }
 
-    /// Converts all added frames. Updates the stage after each of them.
+    /// Converts all added frames. Updates the USD stage of `--stage` after each of them.
     pub(super) fn run_pipeline(&mut self, mut stage: Option<&mut UsdStageWriter>, console: &mut Console) {
         let items = std::mem::take(&mut self.items);
         let first_impossible = items.iter().position(|item| item.frame.is_err());

@@ -304,8 +304,8 @@ impl fmt::Display for InputWarning {
             ),
             InputWarning::HardlyFollowed { confidence } => write!(
                 f,
-                "the surface is hardly averaged with the frames around it: the particles move so irregularly that these \
-                 count {} %; check the ids, or the unit and the time step of the velocities",
+                "the surface is hardly averaged with the frames around it, which count {} %: few of its particles could be \
+                 followed, or they move irregularly; check the ids, or the unit and the time step of the velocities",
                 (100.0 * confidence).round()
             ),
             InputWarning::PresetNotMeasured { used } => write!(

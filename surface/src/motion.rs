@@ -45,14 +45,17 @@ pub struct MovingParticles {
 }
 
 impl MovingParticles {
-    /// Particles with the ids and the velocities among their attributes.
+    /// Particles with the ids and the velocities among their attributes: those in the attribute `id`, or else in the
+    /// first whose role this is.
     pub fn of(positions: OwnedPositions, attributes: &[Attribute]) -> MovingParticles {
-        let ids = attributes.iter().find_map(|attribute| match &attribute.values {
+        let ids = |attribute: &&Attribute| match &attribute.values {
             AttributeValues::Integers(ids) if attribute.role == Role::Id && attribute.arity == 1 => {
                 Some(ids.clone())
             }
             _ => None,
-        });
+        };
+        let named = attributes.iter().filter(|attribute| attribute.name == "id").find_map(|each| ids(&each));
+        let ids = named.or_else(|| attributes.iter().find_map(|each| ids(&each)));
         let velocities =
             find_attribute(attributes, "velocity", 3).and_then(|attribute| attribute.values.numbers());
         let velocities = velocities.map(|numbers| numbers.as_chunks::<3>().0.to_vec());

@@ -350,7 +350,8 @@ impl<'a> Reconstructor<'a> {
         let input_count = positions.len();
         let plan = self.plan(&positions, &attributes, settings)?;
         self.begin(Phase::Rasterize);
-        let moving = is_averaged.then(|| MovingParticles::of(positions.borrowed().into(), &attributes));
+        let moves = settings.temporal > 0;
+        let moving = moves.then(|| MovingParticles::of(positions.borrowed().into(), &attributes));
         let (shapes, shape_stats) = reconstruction::shapes_by_attributes(input_count, &attributes, settings);
         let particles = ShapedPositions { positions, shapes };
         let Ok((particles, shape_stats)) =
@@ -454,11 +455,15 @@ impl<'a> Reconstructor<'a> {
         let surroundings = PlanInputs { obstacles: &self.obstacles, attribute_bytes, allows_tiles };
         let obstacle_bytes =
             self.obstacles.members.iter().map(|obstacle| obstacle.size_bytes_max() as u64).sum();
-        let allowed_bytes = self.memory_limit.saturating_sub(obstacle_bytes);
+        let held_count = settings.held_frame_count();
+        let allowed_bytes = self.memory_limit.saturating_sub(obstacle_bytes) / held_count;
         let Ok(planned) = reconstruction::plan_memory(positions, settings, surroundings, allowed_bytes);
         planned.map_err(|error| match error {
             MemoryPlanError::TooLarge(too_large) => Error::MemoryLimit {
-                needed_bytes: too_large.needed_bytes.saturating_add(obstacle_bytes),
+                needed_bytes: too_large
+                    .needed_bytes
+                    .saturating_mul(held_count)
+                    .saturating_add(obstacle_bytes),
                 limit_bytes: self.memory_limit,
             },
             MemoryPlanError::VoxelTooSmall(VoxelTooSmall { voxel_size, spacing, least, limit }) => {

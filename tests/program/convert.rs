@@ -383,7 +383,13 @@ fn results_that_were_cut_off_are_made_again() {
         converted(path, &arguments);
         assert!(names.iter().map(whole).eq(results.iter().cloned()), "{length}");
     }
-    // What another program put in place of a result is not lost.
+    // What another program put in place of a result is not lost, even if it is only half written.
+    let half = "ply\nformat ascii 1.0\nelement vertex 9\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
+    fs::write(path.join("half.ply"), half).expect("written");
+    fs::rename(path.join("half.ply"), path.join("out/drop.ply")).expect("renamed");
+    let result = convert(path, &arguments);
+    assert!(result.status == 2 && result.err.contains("out/drop.ply would replace a file"), "{}", result.err);
+    assert_eq!(fs::read_to_string(path.join("out/drop.ply")).expect("kept"), half);
     let foreign = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
     fs::write(path.join("out/drop.ply"), foreign).expect("written");
     let result = convert(path, &arguments);

@@ -259,7 +259,7 @@ impl<'a> RowReader<'a> {
     }
 }
 
-/// Parses an integer at the start of `text` that fits 64 bits; returns it and its length.
+/// Parses an integer at the start of `text` that fits into 64 bits; returns it and its length.
 #[inline]
 fn integer(text: &[u8]) -> Option<(i64, usize)> {
     const DIGITS_MAX: usize = 18; // always fits

@@ -203,8 +203,8 @@ Choosing the spacing, the voxel size and the radii:
   memory. On a coarse grid radii are raised to √3·h, the diagonal of a voxel, so that no particle
   falls between the voxels.
 
-  The smoothed surface encloses a sphere of radius r_min around every particle, and each of its points
-  is within r_max of some particle. Particles in sheets and filaments are flattened instead
+  The smoothed surface encloses a sphere of radius r_min around the (smoothed) position of every particle,
+  and each of its points is within r_max of some particle. Particles in sheets and filaments are flattened instead
   (--thin-radius), and particles without neighbours are smaller, and their surface stays close to them
   (--lone-radius).
 
@@ -224,7 +224,7 @@ Exit status:
   0    every frame was converted, or was done already
   1    some frames failed, or their results failed validation; each is named, with the reason, and
        the others are complete
-  2    the command is invalid, or no frame was converted
+  2    the command is invalid, or no frame was converted, or the standard output cannot be written
   130  interrupted: existing results are complete, and --skip-done continues from there";
 
 // The output options, shared by all commands that convert and by the configuration file.
@@ -857,10 +857,12 @@ pub(super) struct FlickerArgs {
 const DEFINITION: &str = "\
 What is scored:
   Points on the surface of a frame, evenly by area, are advected to the frames before and after it with the
-  particles around them, which are followed by their ids if all frames have them, else by their velocities.
+  particles around them, which are followed by their ids if at least half of those of the first frame have unique ones, else by
+  their velocities.
   A point's flicker is the second difference of its signed distances to the three surfaces, in particle
   spacings. The score is the root of its mean square: 0 for a surface that moves as its particles do.
-  The first difference is that of the distance to the next surface alone, and lag 2 that to the one after it.
+  The first difference is the root mean square of the distances to the next surface, and lag 2 that of points
+  carried from the frame before to the frame after.
   A ghost is a piece of the surface without particles, or with less than half of their volume. The volume step is
   the largest change of the volume from a frame to the next, relative to the volume.
 
@@ -979,7 +981,7 @@ State of a frame:
               most frames of the sequence, and passed validation
   missing     a result does not exist, or there is no record of the frame
   damaged     a result was changed or replaced after it was written
-  stale       made from another version of the input or of a frame that it was averaged with, with other settings
+  stale       made from another version of the input, or of a frame averaged with it; or made with other settings,
               or by another version of meniscus
   violations  as done, but a check of the surface failed: converting again would give the same result
 

@@ -299,10 +299,12 @@ fn report(
     console.print_line(format_args!("spacing {}; points are tracked by {carrier}", significant(spacing)));
     let scored = || totals.frames.iter().filter(|frame| frame.summary.count > 0);
     let ghost_count: usize = scored().map(|frame| frame.enclosed.ghost_count).sum();
-    let volume_step = scored().filter_map(|frame| frame.volume_step).map(f64::abs).fold(0.0, f64::max);
+    let volume_step = scored().filter_map(|frame| frame.volume_step).map(f64::abs).max_by(f64::total_cmp);
     let lags: Vec<f64> = scored().filter_map(|frame| frame.lag).collect();
-    let mut line =
-        format!("{}, largest volume step {:.2} %", pluralize(ghost_count, "ghost"), 100.0 * volume_step);
+    let mut line = pluralize(ghost_count, "ghost");
+    if let Some(volume_step) = volume_step {
+        line += &format!(", largest volume step {:.2} %", 100.0 * volume_step);
+    }
     if !lags.is_empty() {
         line += &format!(", lag {:.4} spacings", lags.iter().sum::<f64>() / lags.len() as f64);
     }

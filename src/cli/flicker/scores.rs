@@ -22,7 +22,7 @@ pub(super) struct ScoredFrame {
     /// The distances of carried points from the surface: see [`DriftValues`].
     pub(super) drifts: [Distribution; 2],
     pub(super) enclosed: Enclosed,
-    /// The change of the volume to the next frame, relative to the volume; `None` if that is not positive.
+    /// The change of the volume to the next frame, relative to the volume; `None` if the volume is not positive.
     pub(super) volume_step: Option<f64>,
     /// See [`lag`](crate::surface::flicker::lag); `None` if it is not measured.
     pub(super) lag: Option<f64>,
@@ -166,8 +166,8 @@ impl FlickerTotals {
 
 // Writes scores as CSV.
 
-/// Writes a row for each frame. Lengths and volumes are in particle spacings, and positions in world units. The scores of
-/// a frame are empty if none of its points can be tracked to both neighbouring frames.
+/// Writes a row for each frame. Lengths are in particle spacings, volumes in cubic spacings, and positions in world
+/// units. The scores of a frame are empty if none of its points can be tracked to both neighbouring frames.
 pub(super) fn write_frames(frames: &[ScoredFrame], out: &mut dyn Write) -> io::Result<()> {
     writeln!(
         out,

@@ -260,6 +260,8 @@ pub(crate) const MISSING_OBSTACLES: &str = "missing";
 pub fn not_followed(report: &TemporalReport) -> Option<InputWarning> {
     match report.confidence {
         _ if report.frame_count == 0 => Some(InputWarning::NotFollowed),
+        // There is no surface.
+        _ if report.voxel_count == 0 => None,
         confidence if confidence < CONFIDENCE_MIN => Some(InputWarning::HardlyFollowed { confidence }),
         _ => None,
     }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use meniscus_formats::compression::read_head;
 use meniscus_formats::{
-    Content, Format, Limits, Neighbor, OutputFormat, is_complete, looks_like_particles, neighbor, probe,
+    Content, Format, Limits, Neighbor, OutputFormat, is_truncated, looks_like_particles, neighbor, probe,
     read_particles, read_provenance,
 };
 
@@ -13,6 +13,7 @@ use super::frame_records::FrameRecords;
 use super::provenance::{HEAD_BYTES, are_particles};
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::open::{open_regular, read_regular};
+use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::input::conflicts::Conflict;
 use crate::pipeline::input::frame::Job;
 use crate::pipeline::input::level_set_file::is_level_set;
@@ -77,7 +78,7 @@ pub fn check_existing(
     job: Job,
     records: Option<&FrameRecords>,
 ) -> Result<(), Conflict> {
-    let recorded = records.map(FrameRecords::output_paths).unwrap_or_default();
+    let written = records.map(FrameRecords::output_stamps).unwrap_or_default();
     let mut replaced = Vec::new();
     for (_, stem) in planned {
         for &format in &options.formats {
@@ -87,7 +88,7 @@ pub fn check_existing(
             let output = output_path(&options.folder, stem, format);
             match is_irreplaceable(&output, job) {
                 Ok(false) => {}
-                Ok(true) if recorded.contains(&output) && is_cut_off(&output) => {}
+                Ok(true) if written.get(&output).is_some_and(|stamp| was_cut_off(&output, stamp)) => {}
                 Ok(true) => replaced.push(output),
                 Err(source) => return Err(Conflict::Unreadable { output, source }),
             }
@@ -120,17 +121,22 @@ fn is_irreplaceable(path: &Path, job: Job) -> io::Result<bool> {
     })
 }
 
-/// Whether a file ends too early. A result that was cut off, by a crash or a full disk, may lack all that shows that
-/// this program wrote it; a file of another program in its place would be whole.
-pub fn is_cut_off(path: &Path) -> bool {
-    let Ok((head, name)) = head_and_name(path) else { return false };
-    let Ok(mut file) = open_regular(path) else { return false };
+/// Whether a file is the beginning of a result that had this stamp, such as a crash leaves. It may lack all that shows
+/// that this program wrote it. Another file in its place has another inode, or it is whole.
+pub fn was_cut_off(path: &Path, written: &FileStamp) -> bool {
+    let is_part =
+        FileStamp::of_path(path).is_ok_and(|now| now.inode == written.inode && now.size < written.size);
+    is_part && ends_early(path).unwrap_or(false)
+}
+
+/// Whether a file is shorter than its contents say.
+fn ends_early(path: &Path) -> io::Result<bool> {
+    let (head, name) = head_and_name(path)?;
     if probe(&head, &name).kind.format() == Some(Format::Vdb) {
-        return is_complete(OutputFormat::Vdb, &mut file)
-            .map_or_else(|error| error.is_truncated(), |whole| !whole);
+        return is_truncated(OutputFormat::Vdb, &mut open_regular(path)?).map_err(io::Error::other);
     }
-    let particles = read_regular(path).map(|bytes| read_particles(&bytes, &name, &Limits::default()));
-    particles.is_ok_and(|particles| particles.is_err_and(|error| error.is_truncated()))
+    let particles = read_particles(&read_regular(path)?, &name, &Limits::default());
+    Ok(particles.is_err_and(|error| error.is_truncated()))
 }
 
 fn head_and_name(path: &Path) -> io::Result<(Vec<u8>, String)> {

@@ -35,7 +35,7 @@
 //! same time, and no process waits for another one, also on network file systems. Locks do not always reach other
 //! machines, so the name of a file contains a hash of the machine's name.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -548,10 +548,10 @@ impl FrameRecords {
         done.map(|(name, records)| (name.clone(), records.clone())).collect()
     }
 
-    /// The paths of all recorded outputs.
-    pub fn output_paths(&self) -> HashSet<PathBuf> {
+    /// The stamps of all recorded outputs when they were written.
+    pub fn output_stamps(&self) -> HashMap<PathBuf, FileStamp> {
         let content = self.content();
-        content.done.values().flatten().flat_map(|record| record.output_paths(&self.folder)).collect()
+        content.done.values().flatten().flat_map(|record| record.output_stamps(&self.folder)).collect()
     }
 
     /// The frames that were never converted, by name.

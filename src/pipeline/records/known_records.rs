@@ -165,7 +165,8 @@ impl KnownRecords {
         }
     }
 
-    /// Opens the file that this process appends to, unless it is open.
+    /// Opens the file that this process appends to. If it is open, makes it shorter once most of its lines are
+    /// superseded.
     pub(super) fn open_own_file(&mut self, folder: &Path) -> io::Result<()> {
         if let Some(own) = self.own.take() {
             let own = if own.is_superseded(self.line_count()) { own.reopened(folder)? } else { own };

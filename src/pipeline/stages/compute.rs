@@ -25,7 +25,7 @@ use crate::surface::options::Settings;
 use crate::surface::reconstruction::FrameSurface;
 use crate::surface::temporal::{OtherFrame, TimedFrame};
 
-use super::read::{held_count, of_all_held};
+use super::read::of_all_held;
 use super::{
     FinishedFrame, InputInfo, Outlet, Passed, ReadContent, StageContext, Stages, WorkItem, outcome_of,
 };
@@ -184,6 +184,7 @@ fn others(
         let made =
             kept.map_or_else(|| FrameError::catch(&content.path, Stage::Rasterize, compute).flatten(), Ok);
         match made {
+            Ok(other) if other.is_empty() => {}
             Ok(other) => others.push(OtherFrame { frame: other, steps: found.frame.steps }),
             Err(error) => {
                 warnings.push(not_averaged(&error));
@@ -227,7 +228,7 @@ fn smoothed_alone(
     let loaded = LoadedFrame::of_bytes(path, Some(around.number), &bytes, settings)?;
     drop(bytes);
     let moving = loaded.moving_particles();
-    let allowed_bytes = shared.options.memory_bytes / held_count(settings);
+    let allowed_bytes = shared.options.memory_bytes / settings.held_frame_count();
     let smoothed = loaded.smooth(settings, &frame.obstacles, &frame.outputs, allowed_bytes);
     let smoothed = smoothed.map_err(|FrameError { cause, .. }| failed(of_all_held(cause, settings)))?;
     if smoothed.obstacles != content.obstacles {

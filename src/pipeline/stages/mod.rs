@@ -175,6 +175,7 @@ fn drive<'scope, 'env: 'scope, K: Send + 'env>(
         OnError::Stop => 1,
         OnError::Continue => options.pool.current_num_threads().min(in_flight),
     };
+    // Holds a token for each frame that is not finished.
     let (slot_sender, slot_receiver) = bounded(in_flight);
     // The channel has room for all frames in flight, so that a thread of the pool never waits to report an
     // outcome.
@@ -219,7 +220,6 @@ fn drive<'scope, 'env: 'scope, K: Send + 'env>(
         drop(to_write_from);
         for FinishedFrame { key, frame, outcome } in outcomes {
             finished(key, frame, outcome);
-            // The channel holds a token for each frame that is not finished.
             let _ = slot_receiver.try_recv();
         }
     });

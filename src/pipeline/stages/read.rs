@@ -121,7 +121,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             observer.planned(frame, plan, given_bytes);
         }
         memory.resize(given_bytes);
-        plan.memory_bytes.saturating_add(given_bytes).saturating_mul(held_count(&frame.settings))
+        plan.memory_bytes.saturating_add(given_bytes).saturating_mul(frame.settings.held_frame_count())
     }
 
     /// The bytes of a frame that is converted to another particle format.
@@ -219,7 +219,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         (found, around): (FoundObstacles, Vec<FoundFrame>),
         input: InputState,
     ) -> Result<ReadResult, Outcome> {
-        let allowed_bytes = self.shared.options.memory_bytes / held_count(&frame.settings);
+        let allowed_bytes = self.shared.options.memory_bytes / frame.settings.held_frame_count();
         let frame = frame.clone();
         let planned = self.scheduler.run(order, move || {
             let (given, mut noted) = parse()?;
@@ -272,18 +272,9 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     }
 }
 
-/// How many frames are in memory at most while one of them is averaged: those that it is averaged with, one of
-/// which may be computed meanwhile, and itself.
-pub(super) fn held_count(settings: &Settings) -> u64 {
-    match settings.temporal {
-        0 => 1,
-        reach => 2 * u64::from(reach) + 2,
-    }
-}
-
 /// The error of a frame that needs more than its part of the memory, as an error about all of the memory.
 pub(super) fn of_all_held(cause: Cause, settings: &Settings) -> Cause {
-    let count = held_count(settings);
+    let count = settings.held_frame_count();
     match cause {
         Cause::TooLarge(too_large) => Cause::TooLarge(TooLarge {
             needed_bytes: too_large.needed_bytes.saturating_mul(count),

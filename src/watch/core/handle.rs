@@ -70,11 +70,12 @@ impl Core {
     fn start_frames(&mut self) {
         while self.requested_count > 0 && !self.is_stopping && self.guard.reason().is_none() {
             let Some((id, mut frame)) = self.queue.pop() else { return };
-            // More of them may have come since the frame was queued.
+            // More frames around it may have come since it was queued.
             frame.around = self.frames_around(&id, &frame.settings);
             self.requested_count -= 1;
             if let Some(state) = self.frames.get_mut(&id) {
-                // One is being written again: it is left out now, and compared when this conversion ends.
+                // A frame around it is being written again: it is left out now, and after this conversion the
+                // frames around are compared again.
                 if state.tried_around.as_ref().is_some_and(|tried| frame.around.len() < tried.len()) {
                     state.tried_around = None;
                 }

@@ -355,7 +355,8 @@ impl Core {
         self.request_inspection(id, InspectionExtent::Stamp, Vec::new(), None, None);
     }
 
-    /// Inspects a file: first its record and outputs, then whether it is complete, then its kind.
+    /// Inspects a file that is known to be complete: first its outputs and its record, then its stamp, then its kind
+    /// and conflicts.
     pub(super) fn inspect(&mut self, id: &FrameId, recorded: Option<Recorded>) {
         let outputs = self.output_paths(id);
         self.request_inspection(id, InspectionExtent::All, outputs, None, recorded);
@@ -370,7 +371,11 @@ impl Core {
         recorded: Option<Recorded>,
     ) {
         let Some((number, stamp)) = self.frames.begin_inspection(id) else { return };
-        let inspect = Inspect { id: id.clone(), number, stamp, extent, recorded, candidate, outputs };
+        let done = self.record_of(id).into_iter().flat_map(|record| &record.done);
+        let folder = &self.output_folder(id.root).folder;
+        let written = done.flat_map(|done| done.output_stamps(folder)).collect();
+        let inspect =
+            Inspect { id: id.clone(), number, stamp, extent, recorded, candidate, outputs, written };
         self.request(id.root, RootRequest::Inspect(Box::new(inspect)));
     }
 

@@ -150,8 +150,8 @@ method_options! {
             #[value(named("L"))]
             position_smoothing: f64 in 0.0..=1.0,
 
-            /// Stretch particles along their velocity by their motion in this time, relative to r_min; a longer time
-            /// stretches them more; positive, for --anisotropy velocity [default: 0.01]
+            /// Stretch each particle along its velocity by the distance that it moves in this time, in units of r_min;
+            /// positive, for --anisotropy velocity [default: 0.01]
             #[value(named("SECONDS"))]
             velocity_gain: f64
                 => [OptionName::with_value("anisotropy", "velocity")],

@@ -240,6 +240,16 @@ impl fmt::Display for SettingsError {
 impl std::error::Error for SettingsError {}
 
 impl Settings {
+    /// How many frames are in memory at most while one of them is averaged: those that it is averaged with, one of
+    /// which may be computed meanwhile, and itself.
+    #[doc(hidden)]
+    pub fn held_frame_count(&self) -> u64 {
+        match self.temporal {
+            0 => 1,
+            reach => 2 * u64::from(reach) + 2,
+        }
+    }
+
     /// Fills in the defaults of the preset and checks every number.
     ///
     /// Lengths that are not set follow the particle spacing: that of `options`, else the `measured` one, else

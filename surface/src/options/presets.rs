@@ -1,7 +1,7 @@
 //! Presets: sets of defaults for the most common kinds of particles.
 //!
 //! The lengths of most presets are in particle spacings d: a finer grid then shows the same surface in more
-//! detail. Those of the paper's presets are in voxels h, as in the paper.
+//! detail. Those of the preset `paper` are in voxels h, as in the paper.
 
 use super::values::{AnisotropyKind, Length, LengthUnit};
 use super::{MethodOptions, SettingsError, SettingsFault, require};

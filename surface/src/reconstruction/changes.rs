@@ -75,8 +75,8 @@ pub(super) fn changed_bytes(is_moved: bool, is_stretched: bool) -> [f64; 2] {
 pub(super) struct NeighborChanges {
     /// Displacement of a particle if the mean of its neighbors is at distance R, in world units: λR.
     step_world: f64,
-    /// Scale of the particles for which the input gives none and that are not stretched; `None` if all
-    /// particles keep their given shapes.
+    /// Scale of the particles that are not stretched and have no scale in the input; `None` if all particles
+    /// keep their given shapes.
     ball: Option<f32>,
     /// For each batch, the start of its words in `changed` and of its particles in `means` and `shapes`; one
     /// entry more than there are batches. Empty if nothing is changed.

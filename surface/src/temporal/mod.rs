@@ -74,6 +74,11 @@ impl TimedFrame {
         TimedFrame { band, particles: TrackedParticles::new(particles, RADII * spacing) }
     }
 
+    /// Whether it has no particles, so that nothing can be averaged with it.
+    pub fn is_empty(&self) -> bool {
+        self.particles.positions().is_empty()
+    }
+
     /// Memory used, in bytes: approximate for the particles, which are sorted and have ids or velocities.
     pub fn size_bytes(&self) -> u64 {
         const LEAF_BYTES: usize = size_of::<Leaf>() + 80;

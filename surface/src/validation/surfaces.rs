@@ -92,10 +92,9 @@ pub(super) struct Sides {
 }
 
 /// Whether the signed distance from a point, relative to a particle's centre, to the particle's surface is
-/// less than `distance`, for points where the first-order distance is. The test is exact where it matters:
-/// outside of an ellipsoid the first-order distance is too small, and deep inside the first-order depth is
-/// too large, most of all near the centre of a flat one. Within half a voxel of the surface, where vertices
-/// are without an offset, the first-order depth is the stricter limit, and vertices can be moved to keep it.
+/// less than `distance`, if the first-order distance is. Outside, and deep inside, the first-order distance is
+/// not strict enough, so the exact one decides. Within half a voxel of the surface, where vertices are without
+/// an offset, it is the stricter limit and decides alone; vertices can be moved to keep it.
 #[cold]
 fn is_nearer(shapes: &Shapes, index: usize, apart: Vec3, radius: f32, distance: f32) -> bool {
     let Shapes::Ellipsoids(ellipsoids) = shapes else { return true };
@@ -152,7 +151,7 @@ fn depth_in_ellipsoid(ellipsoid: &Ellipsoid, radius: f64, x: DVec3) -> f64 {
         let y = is_positive_definite(&matrix).then(|| matrix.inverse() * x)?;
         ((to_unit_ball * y).length() <= radius).then_some(y)
     };
-    // Along the shortest semi-axis T² is greatest. It is not longer than the longest one.
+    // λ is greater than minus the square of the shortest semi-axis. Only the longest is stored, which is a safe limit.
     let longest = f64::from(ellipsoid.longest);
     let (mut low, mut high) = (-longest * longest, 0.0);
     let mut nearest = x;
@@ -201,7 +200,7 @@ fn distances(shapes: &Shapes, index: usize, apart: Vec3, radii: [f32; 2]) -> [f3
     }
 }
 
-/// r_min and r_max of an ellipsoid, for those of the settings.
+/// r_min and r_max of an ellipsoid, from those of the settings.
 #[inline(always)]
 fn own_radii(ellipsoid: &Ellipsoid, [min, max]: [f32; 2]) -> [f32; 2] {
     [min, ellipsoid.max * max]
