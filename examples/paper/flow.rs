@@ -82,6 +82,18 @@ impl Flow {
         }
     }
 
+    /// A point on the surface of the initial body that is near to this one.
+    pub(crate) fn nearest(self, mut at: DVec3) -> DVec3 {
+        const STEP: f64 = 1e-6;
+        // One iteration is exact, except near edges of the body.
+        for _ in 0..4 {
+            let slope = |axis: DVec3| self.distance(at + STEP * axis) - self.distance(at - STEP * axis);
+            let outward = DVec3::from(DVec3::AXES.map(slope)).normalize_or_zero();
+            at -= self.distance(at) * outward;
+        }
+        at
+    }
+
     /// A box around the initial body.
     pub(crate) fn bounds(self) -> [DVec3; 2] {
         let center = match self {

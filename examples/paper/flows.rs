@@ -29,7 +29,7 @@ use crate::flow::Flow;
 use crate::output::{Files, Plot};
 use crate::samples::{on_mesh, particles_in};
 use crate::splashsurf::{Post, Splashsurf};
-use crate::surfaces::{Program, Scale, band_of, mesh_of};
+use crate::surfaces::{HALF_WIDTH, Program, Scale, band_of, mesh_of};
 use crate::{Outcome, print_progress};
 
 /// Number of frames of a whole cycle. With 5 000 particles, the fastest moves by one and a half spacings per
@@ -233,7 +233,7 @@ fn follow(case: &Case, program: Program, peer: &Splashsurf, scale: fn(f64) -> Sc
                 let name = if let Program::Splashsurf(_) = program { program.name() } else { case.name() };
                 let label = format!("{name}, {} particles, frame {frame}", particles.len());
                 let voxel_size = 0.5 * scale.voxel_size;
-                pictures.push((picture(&band_of(&mesh, voxel_size), voxel_size), label));
+                pictures.push((picture(&band_of(&mesh, voxel_size, HALF_WIDTH), voxel_size), label));
             }
         }
         case.flow.carry(&mut particles, time(frame), time(frame + 1));

@@ -21,7 +21,7 @@ use crate::Outcome;
 use crate::output::Files;
 use crate::samples::Random;
 use crate::splashsurf::{Post, Splashsurf};
-use crate::surfaces::{Program, Scale, band_of, mesh_of};
+use crate::surfaces::{HALF_WIDTH, Program, Scale, band_of, mesh_of};
 
 /// Measures meniscus with 50 000 particles, and splashsurf with 50 000 and with 1 000 000.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
@@ -52,7 +52,8 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
         rows.push(Roughness::of(&mesh).row(count, program, scale));
         if grid as usize == usual as usize && PICTURED.contains(&program) {
             let voxel_size = 0.5 * scale.voxel_size;
-            let picture = render(&band_of(&mesh, voxel_size), &Lattice { voxel_size }, &view(), LAYERS);
+            let picture =
+                render(&band_of(&mesh, voxel_size, HALF_WIDTH), &Lattice { voxel_size }, &view(), LAYERS);
             let name = if program == Program::Splashsurf(Post::Wide) {
                 "splashsurf, wide kernel"
             } else {

@@ -122,11 +122,12 @@ pub(crate) fn reconstructed(
     Ok(reconstruct_frame(&OwnedPositions::F64(positions), &scale.settings(integrator)?))
 }
 
-/// The level set of a closed mesh, for rendering. Its voxels are half as large as the cells of the mesh, to
-/// preserve the edges of the mesh.
-pub(crate) fn band_of(mesh: &MeshData, voxel_size: f64) -> NarrowBand {
+/// The level set of a closed mesh, up to a distance of at most 8 voxels. Voxels half as large as the cells of the mesh
+/// preserve its edges.
+pub(crate) fn band_of(mesh: &MeshData, voxel_size: f64, half_width: f32) -> NarrowBand {
     let all = |_: DVec3| f64::NEG_INFINITY;
-    intersection(mesh, voxel_size, leaves_near(mesh.positions.iter().copied(), voxel_size), all)
+    let leaves = leaves_near(mesh.positions.iter().copied(), voxel_size);
+    intersection(mesh, voxel_size, half_width, leaves, all)
 }
 
 /// The level set of a closed mesh without everything above z.
@@ -144,7 +145,7 @@ pub(crate) fn cut_open(mesh: &MeshData, voxel_size: f64, z: f64) -> NarrowBand {
         across.clone().flat_map(|x| up.clone().map(move |y| [f64::from(x) * edge, f64::from(y) * edge, z]));
     let mut leaves = mesh_leaves;
     leaves.extend(leaves_near(in_cut, voxel_size));
-    intersection(mesh, voxel_size, leaves, |at| at.z - z)
+    intersection(mesh, voxel_size, HALF_WIDTH, leaves, |at| at.z - z)
 }
 
 /// The leaves of these points, and the leaves next to them: triangles reach beyond the leaves of their
@@ -164,6 +165,7 @@ fn leaves_near(points: impl Iterator<Item = [f64; 3]>, voxel_size: f64) -> BTree
 fn intersection(
     mesh: &MeshData,
     voxel_size: f64,
+    half_width: f32,
     leaves: BTreeSet<[i32; 3]>,
     other: impl Fn(DVec3) -> f64 + Sync,
 ) -> NarrowBand {
@@ -174,14 +176,14 @@ fn intersection(
         .par_iter()
         .filter_map(|leaf| {
             let origin = IVec3::from(*leaf) * LEAF_EDGE;
-            let mut leaf = match obstacle.leaf(origin, &lattice, HALF_WIDTH) {
+            let mut leaf = match obstacle.leaf(origin, &lattice, half_width) {
                 ObstacleLeaf::Near(leaf) => Leaf::clone(&leaf),
-                ObstacleLeaf::Inside => Leaf::splat(-HALF_WIDTH),
+                ObstacleLeaf::Inside => Leaf::splat(-half_width),
                 ObstacleLeaf::Outside => return None,
             };
             for (offset, phi) in leaf.values.iter_mut().enumerate() {
                 let at = (origin + voxel_in_leaf(offset)).as_dvec3() * voxel_size;
-                *phi = phi.max((other(at) / voxel_size) as f32).min(HALF_WIDTH);
+                *phi = phi.max((other(at) / voxel_size) as f32).min(half_width);
             }
             Some((origin, leaf))
         })
@@ -189,11 +191,11 @@ fn intersection(
     let topology = Topology::new(known.iter().map(|(origin, _)| *origin).collect());
     let values: HashMap<IVec3, Leaf> = known.into_iter().collect();
     let leaves = topology.origins().iter().filter_map(|origin| values.get(origin).cloned()).collect();
-    NarrowBand { topology: Arc::new(topology), phi: Field { leaves }, half_width: HALF_WIDTH }
+    NarrowBand { topology: Arc::new(topology), phi: Field { leaves }, half_width }
 }
 
 /// The half width of the band of our surfaces, in voxels.
-const HALF_WIDTH: f32 = 4.0;
+pub(crate) const HALF_WIDTH: f32 = 4.0;
 
 /// The mesh of a surface, in world units.
 pub(crate) fn data(surface: &FrameSurface) -> MeshData {

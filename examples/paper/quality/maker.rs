@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
+use glam::DVec3;
+use meniscus::surface::level_set::NarrowBand;
 use meniscus::surface::mesh::PositionRounding;
 use meniscus::surface::obstacle::{MeshSdf, Obstacles};
 use meniscus::surface::options::{MethodOptions, SequenceSpacing, Settings};
@@ -12,37 +14,36 @@ use meniscus::surface::particles::ParticleCloud;
 use meniscus::surface::reconstruction::{
     FrameSurface, ShapedSource, StagedFrame, reconstruct_cloud, shape_particles,
 };
-use meniscus::surface::temporal::{OtherFrame, TimedFrame};
+use meniscus::surface::space::Lattice;
+use meniscus::surface::temporal::{OtherFrame, TemporalConfig, TimedFrame, average};
 use meniscus_formats::{Limits, MeshData, ply};
 
 use super::estimate_of;
 use super::sets::{Frame, Set};
 use crate::Outcome;
 use crate::splashsurf::{Post, Splashsurf};
-use crate::surfaces::data;
+use crate::surfaces::{band_of, data};
 
 pub(super) enum Maker {
-    /// meniscus, with these settings. Smoothed frames are kept for the frames around them.
-    Ours { settings: Vec<(String, String)>, smoothed: Mutex<Vec<Smoothed>> },
+    /// meniscus, with these settings.
+    Ours { settings: Vec<(String, String)>, kept: Mutex<KeptFrames<Staged>> },
     /// splashsurf, with this cell size in spacings.
     Splashsurf { peer: Box<Splashsurf>, post: Post, cell: f64 },
+    /// splashsurf, whose meshes become level sets that meniscus averages with this number of frames on each
+    /// side. With 0, they are only sampled.
+    Averaged { peer: Box<Splashsurf>, post: Post, cell: f64, frames: u32, kept: Mutex<KeptFrames<MeshData>> },
     /// Another program that left a mesh for each frame in a folder.
     Meshes(PathBuf),
 }
 
-/// A smoothed frame of a set.
-pub(super) struct Smoothed {
-    set: String,
-    number: usize,
-    timed: Arc<TimedFrame>,
-    /// The frame itself, until its surface is made.
-    staged: Option<StagedFrame<ShapedSource<ParticleCloud>>>,
-}
+type Staged = StagedFrame<ShapedSource<ParticleCloud>>;
 
 /// A surface and its cost.
 pub(super) struct MadeSurface {
     pub(super) mesh: MeshData,
     pub(super) solid: MeshSdf,
+    /// The mesh without averages over time, if there are any.
+    pub(super) unaveraged: Option<MeshData>,
     /// Voxels times smoothing passes; `None` if another program made the surface.
     pub(super) voxel_passes: Option<u64>,
     /// Whether the certificate holds; `None` if another program made the surface.
@@ -54,22 +55,36 @@ impl Maker {
     /// Makes the surface of a frame.
     pub(super) fn make(&self, set: &Set, frame: &Frame) -> Outcome<MadeSurface> {
         let start = Instant::now();
-        let (mut voxel_passes, mut is_certified) = (None, None);
+        let (mut voxel_passes, mut is_certified, mut unaveraged) = (None, None, None);
         let (mesh, seconds) = match self {
-            Maker::Ours { settings, smoothed } => {
+            Maker::Ours { settings, kept } => {
                 let settings = settings_of(settings, set)?;
-                let surface = if settings.temporal > 0 {
-                    averaged(set, frame, &settings, &mut smoothed.lock().expect("one thread"))?
+                let alone = || reconstruct_cloud(cloud(frame), &settings, &Obstacles::default());
+                let (surface, seconds) = if settings.temporal > 0 {
+                    let surface = averaged(set, frame, &settings, &mut kept.lock().expect("one thread"))?;
+                    let seconds = start.elapsed().as_secs_f64();
+                    unaveraged = Some(data(&alone()));
+                    (surface, seconds)
                 } else {
-                    reconstruct_cloud(cloud(frame), &settings, &Obstacles::default())
+                    let surface = alone();
+                    (surface, start.elapsed().as_secs_f64())
                 };
                 voxel_passes = Some(surface.report.smoothing.voxel_update_count);
                 is_certified = Some(surface.report.certificate.holds());
-                (data(&surface), start.elapsed().as_secs_f64())
+                (data(&surface), seconds)
             }
             Maker::Splashsurf { peer, post, cell } => {
                 let mesh = peer.reconstruct(&frame.points, set.spacing, cell * set.spacing, *post)?;
                 (mesh, start.elapsed().as_secs_f64())
+            }
+            Maker::Averaged { peer, post, cell, frames, kept } => {
+                let mesh =
+                    |frame: &Frame| peer.reconstruct(&frame.points, set.spacing, cell * set.spacing, *post);
+                let mut kept = kept.lock().expect("one thread");
+                let (own, averaged) =
+                    averaged_meshes(set, frame, cell * set.spacing, *frames, &mut kept, mesh)?;
+                unaveraged = Some(own);
+                (averaged, start.elapsed().as_secs_f64())
             }
             Maker::Meshes(folder) => {
                 let path = folder.join(set.file_name(frame));
@@ -78,7 +93,7 @@ impl Maker {
             }
         };
         let solid = MeshSdf::new(&mesh.positions, &mesh.triangles);
-        Ok(MadeSurface { mesh, solid, voxel_passes, is_certified, seconds })
+        Ok(MadeSurface { mesh, solid, unaveraged, voxel_passes, is_certified, seconds })
     }
 }
 
@@ -86,44 +101,117 @@ fn cloud(frame: &Frame) -> ParticleCloud {
     ParticleCloud::from(frame.moving_particles().positions)
 }
 
+/// Frames of a set that the frames beside them need, too. `T` is what the surface of a frame is made from.
+pub(super) struct KeptFrames<T>(Vec<KeptFrame<T>>);
+
+impl<T> Default for KeptFrames<T> {
+    fn default() -> KeptFrames<T> {
+        KeptFrames(Vec::new())
+    }
+}
+
+struct KeptFrame<T> {
+    set: String,
+    number: usize,
+    timed: Arc<TimedFrame>,
+    /// `None` once the surface is made.
+    own: Option<T>,
+}
+
+/// A frame, and the frames around it.
+struct Around<T> {
+    own: T,
+    timed: Arc<TimedFrame>,
+    others: Vec<OtherFrame>,
+}
+
+impl<T> KeptFrames<T> {
+    /// A frame, and those of the set that are at most `frames` away. `make` makes those that are not kept: with
+    /// their level sets.
+    fn around(
+        &mut self,
+        set: &Set,
+        frame: &Frame,
+        frames: u32,
+        make: impl Fn(&Frame) -> Outcome<(T, NarrowBand)>,
+    ) -> Outcome<Around<T>> {
+        let (kept, reach) = (&mut self.0, frames as usize);
+        kept.retain(|kept| kept.set == set.name && kept.number + reach >= frame.number);
+        let mut others = Vec::new();
+        let mut middle = None;
+        for number in frame.number.saturating_sub(reach)..=frame.number + reach {
+            let Some(other) = set.frame(number) else { continue };
+            let serves =
+                |kept: &KeptFrame<T>| kept.number == number && (number != frame.number || kept.own.is_some());
+            if !kept.iter().any(serves) {
+                kept.retain(|kept| kept.number != number);
+                let (own, band) = make(other)?;
+                let timed = TimedFrame::new(Arc::new(band), other.moving_particles(), set.spacing);
+                kept.push(KeptFrame { set: set.name.clone(), number, timed: timed.into(), own: Some(own) });
+            }
+            let found = kept.iter_mut().find(|kept| kept.number == number).ok_or("just made")?;
+            let timed = Arc::clone(&found.timed);
+            if number == frame.number {
+                middle = found.own.take().map(|own| (own, timed));
+            } else {
+                let steps = i32::try_from(number)? - i32::try_from(frame.number)?;
+                others.push(OtherFrame { frame: timed, steps });
+            }
+        }
+        let (own, timed) = middle.ok_or("just made")?;
+        Ok(Around { own, timed, others })
+    }
+}
+
 /// The surface of a frame, averaged with the frames of the set around it.
 fn averaged(
     set: &Set,
     frame: &Frame,
     settings: &Settings,
-    smoothed: &mut Vec<Smoothed>,
+    kept: &mut KeptFrames<Staged>,
 ) -> Outcome<FrameSurface> {
-    let reach = settings.temporal as usize;
-    smoothed.retain(|kept| kept.set == set.name && kept.number + reach >= frame.number);
-    let mut others = Vec::new();
-    let mut own = None;
-    for number in frame.number.saturating_sub(reach)..=frame.number + reach {
-        let Some(other) = set.frame(number) else { continue };
-        let is_known = smoothed
-            .iter()
-            .any(|kept| kept.number == number && (number != frame.number || kept.staged.is_some()));
-        if !is_known {
-            smoothed.retain(|kept| kept.number != number);
-            let (shaped, stats) = shape_particles(cloud(other), settings);
-            let staged = StagedFrame::rasterize(shaped, stats, Obstacles::default(), settings, None);
-            let staged = staged.map_err(|_| "not in memory")?.smooth(settings, &mut |_| {})?;
-            let band = Arc::new(staged.band().ok_or("not in memory")?.clone());
-            let timed = Arc::new(TimedFrame::new(band, other.moving_particles(), settings.spacing));
-            smoothed.push(Smoothed { set: set.name.clone(), number, timed, staged: Some(staged) });
-        }
-        let kept = smoothed.iter_mut().find(|kept| kept.number == number).ok_or("just made")?;
-        if number == frame.number {
-            own = kept.staged.take().map(|staged| (staged, Arc::clone(&kept.timed)));
-        } else {
-            let steps = i32::try_from(number)? - i32::try_from(frame.number)?;
-            others.push(OtherFrame { frame: Arc::clone(&kept.timed), steps });
-        }
-    }
-    let (mut staged, timed) = own.ok_or("just made")?;
+    let make = |frame: &Frame| {
+        let (shaped, stats) = shape_particles(cloud(frame), settings);
+        let staged = StagedFrame::rasterize(shaped, stats, Obstacles::default(), settings, None);
+        let staged = staged.map_err(|_| "not in memory")?.smooth(settings, &mut |_| {})?;
+        let band = staged.band().ok_or("not in memory")?.clone();
+        Ok((staged, band))
+    };
+    let Around { own: mut staged, timed, others } = kept.around(set, frame, settings.temporal, make)?;
     staged.average(&timed, &others, settings);
     let (surface, _) = staged.contour(settings, PositionRounding::Local).map_err(|_| "not in memory")?;
     Ok(surface)
 }
+
+/// The mesh of a frame, and the surface of its level set, averaged with those of the frames around it.
+fn averaged_meshes(
+    set: &Set,
+    frame: &Frame,
+    voxel_size: f64,
+    frames: u32,
+    kept: &mut KeptFrames<MeshData>,
+    mesh: impl Fn(&Frame) -> Outcome<MeshData>,
+) -> Outcome<(MeshData, MeshData)> {
+    let band = |mesh: &MeshData| band_of(mesh, voxel_size, HALF_WIDTH);
+    let make = |frame: &Frame| {
+        let mesh = mesh(frame)?;
+        let band = band(&mesh);
+        Ok((mesh, band))
+    };
+    let Around { own, timed, others } = kept.around(set, frame, frames, make)?;
+    let mut averaged = band(&own);
+    let config =
+        TemporalConfig { frames, seconds: None, spacing: set.spacing, lattice: Lattice { voxel_size } };
+    average(&mut averaged, &timed, &others, &config);
+    let settings = Settings::paper(voxel_size, &MethodOptions::default())?;
+    let staged = StagedFrame::<ParticleCloud>::of_level_set(averaged, DVec3::ZERO, 0.0, &settings);
+    let (surface, _) = staged.contour(&settings, PositionRounding::Local).map_err(|_| "not in memory")?;
+    Ok((own, data(&surface)))
+}
+
+/// The half width of these level sets, in voxels: two spacings with cells of a quarter of the spacing. The level
+/// sets of other frames must reach as far as particles scatter.
+const HALF_WIDTH: f32 = 8.0;
 
 /// Settings from text. Names that end in `/d` are lengths in spacings. The spacing is the true one, but the preset
 /// `auto` is chosen by measured particles.

@@ -3,6 +3,7 @@
 //! ```text
 //! cargo run --release -p paper -- quality preset=fluid               ours, on generated particles
 //! cargo run --release -p paper -- quality splashsurf=plain cell=0.25
+//! cargo run --release -p paper -- quality splashsurf=post temporal=1    its meshes as level sets, averaged by ours
 //! cargo run --release -p paper -- quality preset=fluid 'only=Enright 5000,jittered pool'   some sets
 //! cargo run --release -p paper -- quality preset=fluid only= frame=dam.ply:0.05   a file, with its spacing
 //! cargo run --release -p paper -- quality preset=fluid only= moving=dam:0.05:0.0333:36-44   frames of a simulation,
@@ -70,7 +71,7 @@ enum Task {
 impl Arguments {
     fn new(words: &[String]) -> Outcome<Arguments> {
         let (mut settings, mut peer, mut cell, mut repeats) = (Vec::new(), None, 0.25, 1);
-        let (mut other_task, mut meshes) = (None, None);
+        let (mut other_task, mut meshes, mut frames) = (None, None, None);
         let mut sets = Sets::default();
         for word in words {
             if word == "spacings" {
@@ -92,6 +93,7 @@ impl Arguments {
                 }
                 "temporal" => {
                     sets.reach = value.parse()?;
+                    frames = Some(value.parse()?);
                     settings.push((name.to_owned(), value.to_owned()));
                 }
                 _ if sets.parse_argument(name, value)? => {}
@@ -100,8 +102,14 @@ impl Arguments {
         }
         let maker = match (meshes, peer) {
             (Some(meshes), _) => meshes,
-            (None, Some(post)) => Maker::Splashsurf { peer: Box::new(Splashsurf::find()?), post, cell },
-            (None, None) => Maker::Ours { settings, smoothed: Mutex::default() },
+            (None, Some(post)) => {
+                let peer = Box::new(Splashsurf::find()?);
+                match frames {
+                    Some(frames) => Maker::Averaged { peer, post, cell, frames, kept: Mutex::default() },
+                    None => Maker::Splashsurf { peer, post, cell },
+                }
+            }
+            (None, None) => Maker::Ours { settings, kept: Mutex::default() },
         };
         Ok(Arguments { task: other_task.unwrap_or(Task::Score { maker, repeats }), sets })
     }

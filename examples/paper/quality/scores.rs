@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 
 use glam::DVec3;
-use meniscus::surface::flicker::{Carrier, Distribution, FlickerFrame, carried_distances, flicker};
+use meniscus::surface::flicker::{
+    Carrier, Distribution, Enclosed, FlickerFrame, carried_distances, enclosed, flicker, lag,
+};
 use meniscus::surface::mesh::Mesh;
 use meniscus::surface::obstacle::{MeshDistance, MeshSdf};
 use meniscus_formats::MeshData;
@@ -46,21 +48,26 @@ const POINTS: usize = 4000;
 /// outside takes longer than the reconstruction.
 const MEASURED_EVERY: usize = 50;
 
-/// The flicker of a flow, as in the experiment `flows`.
+/// The flicker of a flow, as in the experiment `flows`. `error` is the root mean square of the distances from the
+/// surface to points of the true surface, and `bias` the mean, positive where the true surface is inside.
 fn in_flow(maker: &Maker, set: &Set, flow: Flow, measures: &mut Measures) -> Outcome<Map<String, Value>> {
-    let mut carried = Vec::new();
+    let (mut carried, mut truth) = (Vec::new(), Vec::new());
+    let mut errors: Vec<f64> = Vec::new();
     let mut flicker = Flicker::default();
     let time = |number: usize| flow.period() * number as f64 / FRAMES as f64;
     let mut before = 0;
     for frame in &set.frames {
         for number in before..frame.number {
             flow.carry(&mut carried, time(number), time(number + 1));
+            flow.carry(&mut truth, time(number), time(number + 1));
         }
         before = frame.number;
         let made = maker.make(set, frame)?;
         if frame.number == 0 {
             carried = on_mesh(&made.mesh, POINTS);
+            truth = carried.iter().map(|point| flow.nearest(*point)).collect();
         }
+        errors.extend(truth.iter().filter_map(|point| Some(-made.solid.distance(*point)? / set.spacing)));
         flicker.add(frame.number, &made.solid, &carried)?;
         measures.add_costs(&made);
         if frame.number.is_multiple_of(MEASURED_EVERY) {
@@ -71,18 +78,21 @@ fn in_flow(maker: &Maker, set: &Set, flow: Flow, measures: &mut Measures) -> Out
     Ok(map(json!({
         "flicker": round(score.rms), "median": round(score.median), "most": round(score.most),
         "max": round(score.max), "worst_part": round(score.worst),
+        "error": round(Distribution::of(errors.iter().copied()).rms), "bias": round(mean(&errors)),
     })))
 }
 
 /// The flicker of a simulation, from the motion of its particles: see docs/flicker.md. `first` and `lag2` are
 /// the root mean squares of the distances of points that particles carry to the next frame, and to the one
-/// after it, from the surface there. Errors are standard errors over the frames.
+/// after it, from the surface there. Errors are standard errors over the frames. `ghosts` are counted in all frames;
+/// the volume step is the largest change of the volume from frame to frame, relative to it.
 fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Outcome<Map<String, Value>> {
-    let mut frames = Vec::new();
+    let (mut frames, mut unaveraged) = (Vec::new(), Vec::new());
     for frame in &set.frames {
         let made = maker.make(set, frame)?;
         measures.add_costs(&made);
         measures.add_shape(&made, frame, set.spacing);
+        unaveraged.push(made.unaveraged.map(|mesh| MeshDistance::new(&mesh.positions, &mesh.triangles)));
         let surface = MeshDistance::new(&made.mesh.positions, &made.mesh.triangles);
         frames.push(FlickerFrame::new(frame.moving_particles(), surface, set.spacing));
     }
@@ -105,7 +115,17 @@ fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Ou
     let [first, lag2] = [1, 2].map(|lag| with_error(&distances(lag)));
     let flicker = with_error(&flickers);
     let score = Distribution::of(flickers.into_iter().flatten());
+    let pairs = frames.iter().zip(frames.iter().skip(1)).zip(&unaveraged);
+    let of_pair = |((from, to), own): ((&FlickerFrame, &FlickerFrame), &Option<MeshDistance>)| {
+        lag(from, to, own.as_ref()?, carrier, set.spacing, POINTS)
+    };
+    let lags: Vec<f64> = pairs.filter_map(of_pair).collect();
+    let enclosed: Vec<Enclosed> = frames.iter().map(|frame| enclosed(frame, set.spacing)).collect();
+    let step = |two: &[Enclosed]| (two[1].volume / two[0].volume - 1.0).abs();
     Ok(map(json!({
+        "ghosts": enclosed.iter().map(|enclosed| enclosed.ghost_count).sum::<usize>(),
+        "volume_step": round(enclosed.windows(2).map(step).fold(0.0, f64::max)),
+        "lag": (!lags.is_empty()).then(|| round(mean(&lags))),
         "flicker": flicker[0], "flicker_error": flicker[1], "median": round(score.median),
         "most": round(score.percentile_99), "max": round(score.max),
         "first": first[0], "first_error": first[1], "lag2": lag2[0], "lag2_error": lag2[1],
