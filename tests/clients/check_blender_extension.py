@@ -15,6 +15,7 @@ Runs in separate Pythons, with Blender 4.5 and 5.0 as a module. The argument is 
 """
 
 import contextlib
+import dataclasses
 import importlib
 import io
 import os
@@ -355,7 +356,7 @@ def panel_faults():
     drawn("MENISCUS_PT_bake")
     surface = bpy.context.object
     known = surface.meniscus.options.bl_rna.properties
-    others = {"preset", "spacing", "radius_attribute", "quads", "void_threshold"}
+    others = part("options").OTHERS | {"void_threshold"}
     for info in pymeniscus.option_table():
         if info.name not in others and (info.name not in props or known[info.name].description != info.help):
             faults.append(f"the panel lacks {info.name}")
@@ -714,7 +715,43 @@ def baked():
     bpy.ops.meniscus.unlink()
     if surface.modifiers or not surface.meniscus.is_live:
         faults.append("the surface is not live again")
+    faults += averaged(scene, surface)
     return f"3 frames, {file.stat().st_size:,} bytes", faults
+
+
+def averaged(scene, surface):
+    """A bake with averages over time has the surfaces of the Python package."""
+    import pymeniscus
+
+    frames = []
+    for frame in (1, 2, 3, 4):
+        scene.frame_set(frame)
+        request = part("live").request_of(surface, bpy.context.evaluated_depsgraph_get())
+        points = request.points
+        named = {"radii": points.radii, "velocity": points.velocity, "ids": points.ids}
+        frames.append({"points": points.positions, "attributes": points.attributes or None, **named})
+    options = {"temporal": 1, "time_step": 1 / 24, **request.options}
+    wanted = [surface.vertices for surface in pymeniscus.Sequence(**options).averaged(frames)]
+    bpy.ops.meniscus.bake(filepath=str(FOLDER / "averaged.usdc"), first=1, last=4, temporal=1)
+    faults = []
+    for frame, vertices in enumerate(wanted, 1):
+        scene.frame_set(frame)
+        mesh = surface.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+        if not np.array_equal(positions_of(mesh), vertices):
+            faults.append(f"frame {frame} of the averages is another mesh")
+    bpy.ops.meniscus.unlink()
+    # A frame that fails, and one after a gap, are not averaged with others.
+    averages = part("bake").Averages(1, 1 / 24)
+    lost = dataclasses.replace(points, positions=np.full_like(points.positions, np.nan))
+    for frame in (1, 2, 3, 4):
+        averages.add(frame, dataclasses.replace(request, points=lost) if frame == 3 else request)
+    found = [averages.next() for _ in range(4)]
+    averages.add(6, request)
+    found.append(averages.next())
+    counts = [each if isinstance(each, Exception) else (each.report["temporal"] or {"frames": 0})["frames"] for _, each in found]
+    if [frame for frame, _ in found] != [1, 2, 3, 4, 6] or counts[:2] + counts[3:] != [1, 1, 0, 0]:
+        faults.append(f"around frames that fail, {counts} frames were averaged")
+    return faults
 
 
 if __name__ == "__main__":

@@ -452,11 +452,13 @@ def wrong():
     """A setting that the command refuses: the panel shows the reason, and no advice about the command line."""
     settings = new_scene().meniscus_conversion
     settings.folder, settings.out, settings.voxel_size = str(FOLDER / "in"), str(FOLDER / "wrong"), "abc"
+    settings.temporal = 2
+    faults = [] if "--temporal=2" in conversion.options_of(settings) else ["the panel does not average over time"]
     bpy.ops.meniscus.conversion_start()
     wait_for(lambda: not conversion._conversion.is_running)
     text = conversion._conversion.progress.error
     is_plain = text.startswith("invalid value 'abc'") and "is not a voxel size" in text and "--help" not in text
-    return "refused", [] if is_plain else [f"the panel says {text!r}"]
+    return "refused", faults if is_plain else [*faults, f"the panel says {text!r}"]
 
 
 def wait_for(is_so):

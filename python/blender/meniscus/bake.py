@@ -6,7 +6,10 @@ The result needs no extension: Blender's modifier Mesh Sequence Cache reads it.
 import contextlib
 import shutil
 import tempfile
+from collections import deque
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +18,10 @@ import pymeniscus
 from bpy.props import BoolProperty, IntProperty, StringProperty
 
 from . import live, program, sequence
+from .options import text_of
 from .panel import reason_of
 from .points import PointsError
-from .worker import Request, compute
+from .worker import Request, compute, measured
 
 MODIFIER = "Baked surface"
 TICK_SECONDS = 0.05
@@ -27,10 +31,13 @@ class Bake:
     """One bake. The main thread visits the frames and copies points; a thread computes and writes.
 
     A frame that fails is left out: the file holds the frame before it. `errors` has the reasons. The files of
-    the frames are in a temporary folder beside the result, which is removed at the end.
+    the frames are in a temporary folder beside the result, which is removed at the end. `temporal` is the number of
+    frames on each side with which a surface is averaged.
     """
 
-    def __init__(self, surface: bpy.types.Object, scene: bpy.types.Scene, file: Path, first: int, last: int) -> None:
+    def __init__(
+        self, surface: bpy.types.Object, scene: bpy.types.Scene, file: Path, first: int, last: int, temporal: int = 0
+    ) -> None:
         self.surface, self.scene, self.file = surface, scene, file
         self.frames = list(range(first, last + 1))
         self.count = len(self.frames)
@@ -45,6 +52,8 @@ class Bake:
         self._scale = scene.unit_settings.scale_length
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="meniscus-bake")
         self._future: Future[str] | None = None
+        self._averages = Averages(temporal, 1 / self._fps) if temporal else None
+        self._warnings: set[str] = set()
         file.parent.mkdir(parents=True, exist_ok=True)
         self._folder = Path(tempfile.mkdtemp(prefix=f".{file.stem}-", dir=file.parent))
 
@@ -66,6 +75,8 @@ class Bake:
                 self.errors.append("the surface or its scene was removed")
                 self.end()
                 return False
+        elif self._averages and self._averages.count:
+            self._future = self._pool.submit(self._write_averages, 0)
         elif self.written and not self._has_combined:
             self._has_combined = True
             self._future = self._pool.submit(self._combine)
@@ -110,12 +121,37 @@ class Bake:
         self._future = self._pool.submit(self._write, frame, request)
 
     def _write(self, frame: int, request: Request) -> str:
+        if self._averages:
+            # The frames before a gap have no others after them.
+            errors = [self._write_averages(0)] if self._averages.has_gap_before(frame) else []
+            try:
+                self._averages.add(frame, request)
+            except Exception as error:
+                errors.append(f"frame {frame}: {error}")
+            errors.append(self._write_averages(self._averages.temporal))
+            return "\n".join(filter(None, errors))
         result = compute(request, progress=self._on_progress)
         if result.surface is None:
             return f"frame {frame}: {result.error}"
+        return self._save(frame, result.surface)
+
+    def _write_averages(self, waiting: int) -> str:
+        """Writes the averaged surfaces that do not wait for frames after them. Returns errors and new warnings."""
+        said = []
+        while self._averages.count > waiting and not self.is_cancelled:
+            frame, found = self._averages.next()
+            if isinstance(found, Exception):
+                said.append(f"frame {frame}: {found}")
+                continue
+            said.append(self._save(frame, found))
+            said += [f"frame {frame}: {warning}" for warning in found.warnings if warning not in self._warnings]
+            self._warnings.update(found.warnings)
+        return "\n".join(filter(None, said))
+
+    def _save(self, frame: int, surface: pymeniscus.Surface) -> str:
         path = self._folder / f"{self.file.stem}.{frame:04}.usdc"
         try:
-            result.surface.write(path, up="z", meters_per_unit=self._scale)
+            surface.write(path, up="z", meters_per_unit=self._scale)
         except (OSError, pymeniscus.MeniscusError) as error:
             return f"frame {frame}: {error}"
         self.written += 1
@@ -138,6 +174,66 @@ class Bake:
         if ran.returncode == 0:
             return ""
         return ran.stderr.strip() or f"the command `sequence` ended with status {ran.returncode}"
+
+
+class Averages:
+    """Surfaces that are averaged with those of the frames around them. All have the options of the first frame.
+
+    `temporal` frames must be added, beside a frame, before its surface is made, unless no more will come.
+    """
+
+    def __init__(self, temporal: int, time_step: float) -> None:
+        self.temporal, self._time_step = temporal, time_step
+        self._sequence: pymeniscus.Sequence | None = None
+        # The frames without surfaces, and those of them that were not read yet.
+        self._unmade: deque[tuple[int, dict[str, Any]]] = deque()
+        self._unread: deque[dict[str, Any]] = deque()
+        self._surfaces: Iterator[pymeniscus.Surface] | None = None
+        self._last: int | None = None
+
+    @property
+    def count(self) -> int:
+        """The number of frames that have no surface yet."""
+        return len(self._unmade)
+
+    def has_gap_before(self, frame: int) -> bool:
+        """Whether a frame does not follow the last one."""
+        return self._last is not None and self._last != frame - 1
+
+    def add(self, frame: int, request: Request) -> None:
+        """Adds the next frame. Before a gap, all surfaces must be made."""
+        if self.has_gap_before(frame):
+            self._surfaces = None
+        points = request.points
+        if self._sequence is None:
+            options = dict(request.options)
+            if not options.get("spacing"):
+                options["spacing"] = text_of(measured(points, {**options, "spacing": None}))
+            self._sequence = pymeniscus.Sequence(temporal=self.temporal, time_step=self._time_step, **options)
+        given = {"points": points.positions, "radii": points.radii, "velocity": points.velocity, "ids": points.ids}
+        given["attributes"] = points.attributes or None
+        self._unmade.append((frame, given))
+        self._unread.append(given)
+        self._last = frame
+
+    def next(self) -> tuple[int, pymeniscus.Surface | Exception]:
+        """The next frame, and its surface or why it has none."""
+        frame, _ = self._unmade[0]
+        if self._surfaces is None:
+            self._surfaces = self._sequence.averaged(self._read())
+        try:
+            return frame, next(self._surfaces)
+        except Exception as error:
+            # The frames after it begin anew.
+            self._unread = deque(given for _, given in islice(self._unmade, 1, None))
+            self._surfaces = None
+            return frame, error
+        finally:
+            self._unmade.popleft()
+
+    def _read(self) -> Iterator[dict[str, Any]]:
+        while self._unread:
+            yield self._unread.popleft()
 
 
 def link(surface: bpy.types.Object, file: Path, context: bpy.types.Context) -> None:
@@ -184,6 +280,14 @@ class MENISCUS_OT_bake(bpy.types.Operator):
     filter_glob: StringProperty(default="*.usdc", options={"HIDDEN"})
     first: IntProperty(name="First frame", default=1, min=0)
     last: IntProperty(name="Last frame", default=250, min=0)
+    temporal: IntProperty(
+        name="Average over time",
+        default=0,
+        min=0,
+        max=3,
+        description="Average each surface with those of this many frames before and after it, along the motion of the "
+        "points. They need an attribute id, or velocities per second",
+    )
     is_linked: BoolProperty(
         name="Show the result", default=True, description="Show the baked file in place of the live surface"
     )
@@ -209,7 +313,7 @@ class MENISCUS_OT_bake(bpy.types.Operator):
         try:
             if self.is_linked:
                 sequence.require("USD")
-            self._bake = Bake(surface, context.scene, file, self.first, self.last)
+            self._bake = Bake(surface, context.scene, file, self.first, self.last, self.temporal)
         except (OSError, ValueError) as error:
             self.report({"ERROR"}, reason_of(error))
             return {"CANCELLED"}

@@ -251,6 +251,7 @@ def options_of(settings: "MENISCUS_PG_conversion") -> list[str]:
         "pattern": settings.pattern,
         "up": settings.up.lower(),
         "fps": f"{settings.fps:.9g}",
+        "temporal": str(settings.temporal) if settings.temporal else "",
         "threads": str(settings.threads) if settings.threads else "",
     }
     return [f"--{name}={value}" for name, value in options.items() if value]
@@ -349,6 +350,13 @@ class MENISCUS_PG_conversion(bpy.types.PropertyGroup):
     )
     fps: FloatProperty(
         name="Frame rate", default=24, min=0.001, max=10000, description="Frames per second of the simulation"
+    )
+    temporal: IntProperty(
+        name="Average over time",
+        min=0,
+        max=3,
+        description="Average each surface with those of this many frames before and after it, along the motion of the "
+        "particles. They need ids, or velocities per second",
     )
     threads: IntProperty(name="Threads", min=0, max=1024, description="Processors to use; 0 uses all")
     has_volumes: BoolProperty(name="Level sets, too", description="Also write a .vdb of each frame")

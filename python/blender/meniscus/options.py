@@ -12,8 +12,8 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 from pymeniscus import OptionInfo, option_table
 
-# Options with properties of their own in `live`, and options that have no effect on a mesh in Blender.
-OTHERS = {"preset", "spacing", "radius_attribute", "quads"}
+# Options with properties of their own in `live` or `bake`, and options that have no effect on a mesh in Blender.
+OTHERS = {"preset", "spacing", "radius_attribute", "quads", "temporal", "time_step"}
 OTHER_GROUPS = {"Obstacles"}
 # The options in the panel itself; the others are in subpanels by group.
 MAIN = ("voxel_size", "position_smoothing", "laplacian_steps", "steps", "offset", "decimate")

@@ -39,11 +39,12 @@ class Points:
     positions: NDArray[np.float32]
     radii: NDArray[np.float32] | None = None
     velocity: NDArray[np.float32] | None = None
+    ids: NDArray[np.int32] | None = None
     attributes: dict[str, NDArray[Any]] = field(default_factory=dict)
     note: str = ""
 
     def hash(self) -> str:
-        """A hash of all arrays. It takes a second for a gigabyte: compute it on a thread."""
+        """A hash of all arrays that a surface alone depends on. It takes a second for a gigabyte: compute it on a thread."""
         state = hashlib.blake2b(digest_size=16)
         named = {"P": self.positions, "R": self.radii, "V": self.velocity, **self.attributes}
         for name, values in named.items():
@@ -111,6 +112,7 @@ def read(
         points.velocity = named(attributes, velocity, "FLOAT_VECTOR", source)
         if points.velocity is None:
             notes.append(f"no vector attribute “{velocity}”: no motion blur")
+    points.ids = named(attributes, "id", "INT", source)
     if has_attributes:
         left_out = []
         for attribute in attributes:
