@@ -42,40 +42,24 @@ const TAIL_BYTES: u64 = 256;
 /// [`crate::Error::Io`] if reading fails; [`crate::Error::Invalid`] if the head is not of this format.
 pub fn is_complete(format: OutputFormat, file: &mut (impl Read + Seek)) -> Result<bool> {
     let file_bytes = file.seek(SeekFrom::End(0))?;
-    let mut read = |start: u64, length: u64| piece_within(file, file_bytes, start, length);
+    // An offset in a damaged file may be beyond its end, and even beyond what the system can seek to.
+    let mut read = |start: u64, length: u64| {
+        if start < file_bytes { piece(file, start, length) } else { Ok(Vec::new()) }
+    };
     match format.row().integrity {
         Integrity::Tail(ends_as_written) => {
             Ok(ends_as_written(&read(file_bytes.saturating_sub(TAIL_BYTES), TAIL_BYTES)?))
         }
-        Integrity::Length(claimed) => Ok(claimed(&read(0, HEAD_BYTES_MAX)?, &mut read)? == Some(file_bytes)),
+        Integrity::Length(claimed) => {
+            let head = read(0, HEAD_BYTES_MAX)?;
+            Ok(claimed(&head, &mut read)? == Some(file_bytes))
+        }
         Integrity::Json => {
             let text = read(0, u64::MAX)?;
             // The writer ends the file with a line feed.
             Ok(text.ends_with(b"\n") && serde_json::from_slice::<IgnoredAny>(&text).is_ok())
         }
     }
-}
-
-/// Whether a file ends before the size that it declares, or within its head. False for formats without such a size.
-///
-/// # Errors
-///
-/// As for [`is_complete`].
-pub fn is_truncated(format: OutputFormat, file: &mut (impl Read + Seek)) -> Result<bool> {
-    let file_bytes = file.seek(SeekFrom::End(0))?;
-    let mut read = |start: u64, length: u64| piece_within(file, file_bytes, start, length);
-    let Integrity::Length(claimed) = format.row().integrity else { return Ok(false) };
-    match claimed(&read(0, HEAD_BYTES_MAX)?, &mut read) {
-        Ok(claimed) => Ok(claimed.is_some_and(|claimed| file_bytes < claimed)),
-        Err(error) if error.is_truncated() => Ok(true),
-        Err(error) => Err(error),
-    }
-}
-
-/// A piece of a file of this size. An offset in a damaged file may be beyond its end, and even beyond what the system
-/// can seek to.
-fn piece_within(file: &mut (impl Read + Seek), file_bytes: u64, start: u64, length: u64) -> Result<Vec<u8>> {
-    if start < file_bytes { piece(file, start, length) } else { Ok(Vec::new()) }
 }
 
 /// Compares a file's size with its head, of which at most 1 MiB is read. `file_name` is used only for

@@ -62,7 +62,7 @@ pub use data::{
     VertexAttribute, VertexValues,
 };
 pub use error::{Error, Position, Result};
-pub use integrity::{completeness, is_complete, is_truncated};
+pub use integrity::{completeness, is_complete};
 pub use limits::Limits;
 pub use mesh::{ObstacleData, check_obstacle, looks_like_mesh, read_mesh, read_obstacle};
 pub use neighbor::{Neighbor, neighbor};

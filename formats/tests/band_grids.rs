@@ -9,11 +9,11 @@ use crate::solids;
 use std::io::Cursor;
 
 use meniscus_formats::OutputFormat;
+use meniscus_formats::is_complete;
 use meniscus_formats::vdb::{
     Compression, WriteOptions, grid_notes, grids, read_level_set, read_vectors, write,
 };
 use meniscus_formats::{AttributeRole, BandGrid, LeafValues, LevelSetView, Limits};
-use meniscus_formats::{is_complete, is_truncated};
 use solids::Solid;
 
 const COMPRESSIONS: [Compression; 3] = [Compression::None, Compression::ActiveMask, Compression::Blosc];
@@ -210,20 +210,12 @@ fn bytes_do_not_depend_on_threads_and_truncation_is_detected() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(7).build().expect("threads");
     assert!(pool.install(|| to_bytes(&view, Compression::Blosc, false)) == bytes);
     let is_whole = |bytes: &[u8]| is_complete(OutputFormat::Vdb, &mut Cursor::new(bytes));
-    let is_cut_off = |bytes: &[u8]| is_truncated(OutputFormat::Vdb, &mut Cursor::new(bytes));
     assert!(is_whole(&bytes).expect("our own file"));
     let ends = [bytes.len() / 4, bytes.len() / 2, bytes.len() - 1, bytes.len() - 100_000];
     for length in ends.into_iter().chain(0..300) {
         assert!(!is_whole(&bytes[..length]).unwrap_or(false), "{length}");
-        // A shorter file has no signature.
-        assert!(length < 8 || is_cut_off(&bytes[..length]).expect("a head"), "{length}");
     }
-    let extended = [&bytes[..], b"more"].concat();
-    assert!(!is_whole(&extended).expect("a head") && !is_cut_off(&extended).expect("a head"));
-    // A stream, as other programs write it, has no offsets that its end could be compared with.
-    let mut stream = bytes.clone();
-    stream[20] = 0;
-    assert!(!is_whole(&stream).expect("a head") && !is_cut_off(&stream).expect("a head"));
+    assert!(!is_whole(&[&bytes[..], b"more"].concat()).expect("a head"));
 }
 
 #[test]

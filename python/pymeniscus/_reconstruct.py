@@ -300,8 +300,10 @@ class Sequence:
             others = [(at - index, other) for at, (_, other) in around if at != index]
             return _with_warnings(Surface(_native.average(smoothed, others, count), source))
 
-        for frame in frames:
+        remaining = iter(frames)
+        while True:
             try:
+                frame = next(remaining)
                 given, bodies = self._frame_of(**_arguments_of(frame))
                 if not self._has_frame:
                     self._has_frame = True
@@ -318,6 +320,8 @@ class Sequence:
                     *self._limits,
                     count,
                 )
+            except StopIteration:
+                break
             except Exception as error:
                 failure = error
                 break

@@ -147,11 +147,20 @@ def test_averages_survive_frames_that_fail(block):
         found.extend(surface.report["temporal"]["frames"] for surface in _averaged(frames, temporal=2))
     # `extend` keeps what came before the error.
     assert found == [2, 2, 2]
+    found.clear()
+    with pytest.raises(OSError, match="gone"):
+        found.extend(surface.report["temporal"]["frames"] for surface in _averaged(_broken(frames[:2]), temporal=2))
+    assert found == [1, 1]
     with pytest.warns(UserWarning, match="not averaged with the frames around it") as warned:
         list(_averaged([{"points": block}] * 2, temporal=1))
     assert {warning.filename for warning in warned} == {__file__}
     with pytest.warns(UserWarning, match="time_step"):
         list(_averaged([{"points": block}], time_step=0.1))
+
+
+def _broken(frames):
+    yield from frames
+    raise OSError("gone")
 
 
 def _averaged(frames, **options):
@@ -178,7 +187,6 @@ def test_averages_share_the_memory_limit(block):
     # Four and eight frames are in memory at once.
     assert needed[3] / needed[1] == pytest.approx(2, rel=0.1)
     assert len(list(pm.Sequence(spacing=0.1, temporal=1, memory=f"{needed[1]:.0f}MiB").averaged(frames))) == 2
-
 
 
 def test_two_attributes_and_two_obstacles(block, tmp_path):

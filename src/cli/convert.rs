@@ -191,7 +191,7 @@ impl ConvertPlan {
         let files = selected_files(&self.selection.sequences);
         let planned: Vec<_> = files.map(|file| (file.path.clone(), file.stem())).collect();
         check_outputs(&planned, &self.selection.found, &self.obstacles, &self.outputs, &others)?;
-        Ok(check_existing(&planned, &self.outputs, self.job, self.records.as_deref())?)
+        Ok(check_existing(&planned, &self.outputs, self.job)?)
     }
 
     /// Converts the frames, and combines them into sequence files.

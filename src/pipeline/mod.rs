@@ -114,7 +114,7 @@ pub use method::ScratchFile;
 pub use observer::Observer;
 pub use output::writing::{encode_level_set, mesh_view, vertex_attributes};
 pub use reconstruct::{LoadedFrame, Reconstruction};
-pub use records::content::{SniffedContent, check_existing, content, was_cut_off};
+pub use records::content::{SniffedContent, check_existing, content};
 pub use records::figures::Figures;
 pub use records::frame_records::{
     FrameRecords, OutputComparison, RecordedFrame, RecordedState, ResultState, STATE_FOLDER, SettingValues,

@@ -452,8 +452,9 @@ def wrong():
     """A setting that the command refuses: the panel shows the reason, and no advice about the command line."""
     settings = new_scene().meniscus_conversion
     settings.folder, settings.out, settings.voxel_size = str(FOLDER / "in"), str(FOLDER / "wrong"), "abc"
-    settings.temporal = 2
-    faults = [] if "--temporal=2" in conversion.options_of(settings) else ["the panel does not average over time"]
+    settings.temporal, settings.fps = 2, 25
+    is_averaged = {"--temporal=2", "--time-step=0.04"}.issubset(conversion.options_of(settings))
+    faults = [] if is_averaged else ["the panel does not average over time"]
     bpy.ops.meniscus.conversion_start()
     wait_for(lambda: not conversion._conversion.is_running)
     text = conversion._conversion.progress.error

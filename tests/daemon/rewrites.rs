@@ -136,36 +136,6 @@ fn output_with_a_flipped_byte_is_made_again() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// A crash or a full disk may cut off results while no daemon runs.
-#[test]
-fn outputs_that_were_cut_off_are_made_again() {
-    let options = ["--format", "vdb,ply,vtp", "--preset", "paper", "--voxel-size", "0.06"];
-    let scene = Scene::new();
-    scene.put_moving(1..=3);
-    scene.once(&options).assert_status(0);
-    for (within, length) in [("out/dam.1.vdb", 1000), ("out/dam.2.ply", 50), ("out/dam.3.vtp", 300)] {
-        let bytes = scene.bytes(within);
-        scene.write(within, &bytes[..length]);
-    }
-    let again = scene.once(&options);
-    again.assert_status(0);
-    assert_eq!(again.converted().len(), 3);
-    scene.assert_as_converted(&options);
-    // Also with other settings, and if the input has changed.
-    for (within, length) in [("out/dam.1.vdb", 1000), ("out/dam.2.ply", 50), ("out/dam.3.vtp", 300)] {
-        let bytes = scene.bytes(within);
-        scene.write(within, &bytes[..length]);
-    }
-    let finer = ["--format", "vdb,ply,vtp", "--preset", "paper", "--voxel-size", "0.05"];
-    scene.once(&finer).assert_status(0);
-    scene.assert_as_converted(&finer);
-    let options = finer;
-    // Data of another program, in a recorded place, is no result that was cut off.
-    scene.write("out/dam.2.ply", ply(&block(5, 0.1, 0.3)));
-    scene.once(&options).assert_status(1);
-    assert_eq!(scene.bytes("out/dam.2.ply"), ply(&block(5, 0.1, 0.3)));
-}
-
 /// Replaces a file by a file that differs in one byte in the middle.
 fn flip_byte(scene: &Scene, within: &str) {
     let mut bytes = scene.bytes(within);

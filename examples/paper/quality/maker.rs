@@ -19,7 +19,7 @@ use meniscus::surface::temporal::{OtherFrame, TemporalConfig, TimedFrame, averag
 use meniscus_formats::{Limits, MeshData, ply};
 
 use super::estimate_of;
-use super::sets::{Frame, Set};
+use super::sets::{Frame, Kind, Set};
 use crate::Outcome;
 use crate::splashsurf::{Post, Splashsurf};
 use crate::surfaces::{band_of, data};
@@ -30,8 +30,14 @@ pub(super) enum Maker {
     /// splashsurf, with this cell size in spacings.
     Splashsurf { peer: Box<Splashsurf>, post: Post, cell: f64 },
     /// splashsurf, whose meshes become level sets that meniscus averages with this number of frames on each
-    /// side. With 0, they are only sampled.
-    Averaged { peer: Box<Splashsurf>, post: Post, cell: f64, frames: u32, kept: Mutex<KeptFrames<MeshData>> },
+    /// side: nothing is restored or clamped afterwards. With 0, they are only sampled.
+    Averaged {
+        peer: Box<Splashsurf>,
+        post: Post,
+        cell: f64,
+        frames: u32,
+        kept: Mutex<KeptFrames<(MeshData, NarrowBand)>>,
+    },
     /// Another program that left a mesh for each frame in a folder.
     Meshes(PathBuf),
 }
@@ -63,7 +69,7 @@ impl Maker {
                 let (surface, seconds) = if settings.temporal > 0 {
                     let surface = averaged(set, frame, &settings, &mut kept.lock().expect("one thread"))?;
                     let seconds = start.elapsed().as_secs_f64();
-                    unaveraged = Some(data(&alone()));
+                    unaveraged = matches!(set.kind, Kind::Moving { .. }).then(|| data(&alone()));
                     (surface, seconds)
                 } else {
                     let surface = alone();
@@ -189,17 +195,15 @@ fn averaged_meshes(
     frame: &Frame,
     voxel_size: f64,
     frames: u32,
-    kept: &mut KeptFrames<MeshData>,
+    kept: &mut KeptFrames<(MeshData, NarrowBand)>,
     mesh: impl Fn(&Frame) -> Outcome<MeshData>,
 ) -> Outcome<(MeshData, MeshData)> {
-    let band = |mesh: &MeshData| band_of(mesh, voxel_size, HALF_WIDTH);
     let make = |frame: &Frame| {
         let mesh = mesh(frame)?;
-        let band = band(&mesh);
-        Ok((mesh, band))
+        let band = band_of(&mesh, voxel_size, HALF_WIDTH);
+        Ok(((mesh, band.clone()), band))
     };
-    let Around { own, timed, others } = kept.around(set, frame, frames, make)?;
-    let mut averaged = band(&own);
+    let Around { own: (own, mut averaged), timed, others } = kept.around(set, frame, frames, make)?;
     let config =
         TemporalConfig { frames, seconds: None, spacing: set.spacing, lattice: Lattice { voxel_size } };
     average(&mut averaged, &timed, &others, &config);

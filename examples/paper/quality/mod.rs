@@ -159,7 +159,7 @@ fn map(value: Value) -> Map<String, Value> {
     }
 }
 
-/// Four decimal places.
+/// Six decimal places.
 fn round(value: f64) -> f64 {
-    (value * 1e4).round() / 1e4
+    (value * 1e6).round() / 1e6
 }

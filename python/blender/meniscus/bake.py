@@ -30,7 +30,8 @@ TICK_SECONDS = 0.05
 class Bake:
     """One bake. The main thread visits the frames and copies points; a thread computes and writes.
 
-    A frame that fails is left out: the file holds the frame before it. `errors` has the reasons. The files of
+    A frame that fails is left out: the file holds the frame before it. `errors` has the reasons; `warning` is the first
+    warning about averages over time. The files of
     the frames are in a temporary folder beside the result, which is removed at the end. `temporal` is the number of
     frames on each side with which a surface is averaged.
     """
@@ -53,7 +54,7 @@ class Bake:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="meniscus-bake")
         self._future: Future[str] | None = None
         self._averages = Averages(temporal, 1 / self._fps) if temporal else None
-        self._warnings: set[str] = set()
+        self.warning = ""
         file.parent.mkdir(parents=True, exist_ok=True)
         self._folder = Path(tempfile.mkdtemp(prefix=f".{file.stem}-", dir=file.parent))
 
@@ -136,17 +137,17 @@ class Bake:
         return self._save(frame, result.surface)
 
     def _write_averages(self, waiting: int) -> str:
-        """Writes the averaged surfaces that do not wait for frames after them. Returns errors and new warnings."""
-        said = []
+        """Writes the averaged surfaces that do not wait for frames after them. Returns the errors."""
+        errors = []
         while self._averages.count > waiting and not self.is_cancelled:
             frame, found = self._averages.next()
             if isinstance(found, Exception):
-                said.append(f"frame {frame}: {found}")
+                errors.append(f"frame {frame}: {found}")
                 continue
-            said.append(self._save(frame, found))
-            said += [f"frame {frame}: {warning}" for warning in found.warnings if warning not in self._warnings]
-            self._warnings.update(found.warnings)
-        return "\n".join(filter(None, said))
+            errors.append(self._save(frame, found))
+            if found.warnings and not self.warning:
+                self.warning = f"frame {frame}: {'; '.join(found.warnings)}"
+        return "\n".join(filter(None, errors))
 
     def _save(self, frame: int, surface: pymeniscus.Surface) -> str:
         path = self._folder / f"{self.file.stem}.{frame:04}.usdc"
@@ -372,6 +373,8 @@ class MENISCUS_OT_bake(bpy.types.Operator):
             except (ReferenceError, RuntimeError) as error:
                 self.report({"ERROR"}, str(error))
                 return {"CANCELLED"}
+        if bake.warning:
+            self.report({"WARNING"}, bake.warning)
         self.report({"INFO"}, f"{bake.written} frames are in {bake.file}")
         return {"FINISHED"}
 

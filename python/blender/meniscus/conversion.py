@@ -252,6 +252,7 @@ def options_of(settings: "MENISCUS_PG_conversion") -> list[str]:
         "up": settings.up.lower(),
         "fps": f"{settings.fps:.9g}",
         "temporal": str(settings.temporal) if settings.temporal else "",
+        "time-step": f"{1 / settings.fps:.9g}" if settings.temporal else "",
         "threads": str(settings.threads) if settings.threads else "",
     }
     return [f"--{name}={value}" for name, value in options.items() if value]

@@ -44,7 +44,7 @@ class Points:
     note: str = ""
 
     def hash(self) -> str:
-        """A hash of all arrays that a surface alone depends on. It takes a second for a gigabyte: compute it on a thread."""
+        """A hash of all arrays that a surface without averages depends on. It takes a second for a gigabyte: compute it on a thread."""
         state = hashlib.blake2b(digest_size=16)
         named = {"P": self.positions, "R": self.radii, "V": self.velocity, **self.attributes}
         for name, values in named.items():

@@ -857,8 +857,8 @@ pub(super) struct FlickerArgs {
 const DEFINITION: &str = "\
 What is scored:
   Points on the surface of a frame, evenly by area, are advected to the frames before and after it with the
-  particles around them, which are followed by their ids if at least half of those of the first frame have unique ones, else by
-  their velocities.
+  particles around them. These are followed by their ids if at least half of those in the first frame have
+  unique ones, else by their velocities.
   A point's flicker is the second difference of its signed distances to the three surfaces, in particle
   spacings. The score is the root of its mean square: 0 for a surface that moves as its particles do.
   The first difference is the root mean square of the distances to the next surface, and lag 2 that of points

@@ -4,16 +4,11 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use meniscus_formats::compression::read_head;
-use meniscus_formats::{
-    Content, Format, Limits, Neighbor, OutputFormat, is_truncated, looks_like_particles, neighbor, probe,
-    read_particles, read_provenance,
-};
+use meniscus_formats::{Content, Format, Neighbor, looks_like_particles, neighbor, probe, read_provenance};
 
-use super::frame_records::FrameRecords;
 use super::provenance::{HEAD_BYTES, are_particles};
 use crate::pipeline::files::input_file::InputFile;
-use crate::pipeline::files::open::{open_regular, read_regular};
-use crate::pipeline::files::stamp::FileStamp;
+use crate::pipeline::files::open::open_regular;
 use crate::pipeline::input::conflicts::Conflict;
 use crate::pipeline::input::frame::Job;
 use crate::pipeline::input::level_set_file::is_level_set;
@@ -68,7 +63,7 @@ pub fn content(path: &Path) -> io::Result<SniffedContent> {
 }
 
 /// Checks that no output of `job` for the planned frames (input and stem) replaces particles, or a mesh or a
-/// level set of another program: they may be the only copy. Recorded results that were cut off may be replaced.
+/// level set of another program: they may be the only copy.
 ///
 /// # Errors
 /// The first such output, and the number of others; or the first that exists but cannot be read.
@@ -76,9 +71,7 @@ pub fn check_existing(
     planned: &[(PathBuf, String)],
     options: &OutputOptions,
     job: Job,
-    records: Option<&FrameRecords>,
 ) -> Result<(), Conflict> {
-    let written = records.map(FrameRecords::output_stamps).unwrap_or_default();
     let mut replaced = Vec::new();
     for (_, stem) in planned {
         for &format in &options.formats {
@@ -88,7 +81,6 @@ pub fn check_existing(
             let output = output_path(&options.folder, stem, format);
             match is_irreplaceable(&output, job) {
                 Ok(false) => {}
-                Ok(true) if written.get(&output).is_some_and(|stamp| was_cut_off(&output, stamp)) => {}
                 Ok(true) => replaced.push(output),
                 Err(source) => return Err(Conflict::Unreadable { output, source }),
             }
@@ -119,24 +111,6 @@ fn is_irreplaceable(path: &Path, job: Job) -> io::Result<bool> {
         Some(_) => false,
         None => probe(&head, &name).kind.format() == Some(Format::Vdb) || looks_like_particles(&head, &name),
     })
-}
-
-/// Whether a file is the beginning of a result that had this stamp, such as a crash leaves. It may lack all that shows
-/// that this program wrote it. Another file in its place has another inode, or it is whole.
-pub fn was_cut_off(path: &Path, written: &FileStamp) -> bool {
-    let is_part =
-        FileStamp::of_path(path).is_ok_and(|now| now.inode == written.inode && now.size < written.size);
-    is_part && ends_early(path).unwrap_or(false)
-}
-
-/// Whether a file is shorter than its contents say.
-fn ends_early(path: &Path) -> io::Result<bool> {
-    let (head, name) = head_and_name(path)?;
-    if probe(&head, &name).kind.format() == Some(Format::Vdb) {
-        return is_truncated(OutputFormat::Vdb, &mut open_regular(path)?).map_err(io::Error::other);
-    }
-    let particles = read_particles(&read_regular(path)?, &name, &Limits::default());
-    Ok(particles.is_err_and(|error| error.is_truncated()))
 }
 
 fn head_and_name(path: &Path) -> io::Result<(Vec<u8>, String)> {

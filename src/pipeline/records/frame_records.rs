@@ -548,12 +548,6 @@ impl FrameRecords {
         done.map(|(name, records)| (name.clone(), records.clone())).collect()
     }
 
-    /// The stamps of all recorded outputs when they were written.
-    pub fn output_stamps(&self) -> HashMap<PathBuf, FileStamp> {
-        let content = self.content();
-        content.done.values().flatten().flat_map(|record| record.output_stamps(&self.folder)).collect()
-    }
-
     /// The frames that were never converted, by name.
     pub fn never_done(&self) -> BTreeMap<PathBuf, Arc<UnfinishedRecord>> {
         let content = self.content();

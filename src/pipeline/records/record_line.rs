@@ -285,17 +285,13 @@ impl DoneRecord {
         self.outputs.iter().map(move |file| name.with_file_name(&file.name))
     }
 
-    /// The stamps of its outputs when they were written.
-    pub fn output_stamps(&self, folder: &Path) -> impl Iterator<Item = (PathBuf, FileStamp)> + use<'_> {
-        self.output_paths(folder).zip(self.outputs.iter().map(|file| file.stamp))
-    }
-
     /// The first output that is missing, or has another stamp than recorded. No file is read.
     pub fn changed_output(&self, folder: &Path) -> Option<ChangedOutput> {
         let is_as_recorded = |path: &Path, recorded: &FileStamp| {
             FileStamp::of_path(path).is_ok_and(|now| recorded.still_holds(&now))
         };
-        let (path, _) = self.output_stamps(folder).find(|(path, stamp)| !is_as_recorded(path, stamp))?;
+        let mut outputs = self.output_paths(folder).zip(&self.outputs);
+        let (path, _) = outputs.find(|(path, file)| !is_as_recorded(path, &file.stamp))?;
         let is_missing = path.symlink_metadata().is_err();
         Some(ChangedOutput { path, is_missing })
     }

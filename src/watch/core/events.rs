@@ -149,8 +149,6 @@ pub(crate) struct Inspect {
     pub(crate) candidate: Option<Candidate>,
     /// The output files of the frame.
     pub(crate) outputs: Vec<PathBuf>,
-    /// The output files that were written earlier, with their stamps then.
-    pub(crate) written: Vec<(PathBuf, FileStamp)>,
 }
 
 /// What an inspection looks at.

@@ -371,11 +371,7 @@ impl Core {
         recorded: Option<Recorded>,
     ) {
         let Some((number, stamp)) = self.frames.begin_inspection(id) else { return };
-        let done = self.record_of(id).into_iter().flat_map(|record| &record.done);
-        let folder = &self.output_folder(id.root).folder;
-        let written = done.flat_map(|done| done.output_stamps(folder)).collect();
-        let inspect =
-            Inspect { id: id.clone(), number, stamp, extent, recorded, candidate, outputs, written };
+        let inspect = Inspect { id: id.clone(), number, stamp, extent, recorded, candidate, outputs };
         self.request(id.root, RootRequest::Inspect(Box::new(inspect)));
     }
 

@@ -18,7 +18,7 @@ use meniscus_formats::{Completeness, completeness};
 
 use crate::pipeline::{
     ChangedOutput, Conflict, FileId, FileStamp, ObstacleFiles, ObstacleStamps, SniffedContent, content,
-    may_hold_several, open_regular, was_cut_off,
+    may_hold_several, open_regular,
 };
 use crate::watch::config::{Poll, StabilityTimeouts, Watch, WatchConfig};
 use crate::watch::core::completeness::{
@@ -459,7 +459,7 @@ impl Root {
         let contents = contents_of(id);
         let conflict = match contents {
             FileContents::Frame | FileContents::MaybeSteps => {
-                match self.conflict_of(outputs, &request.written) {
+                match self.conflict_of(outputs) {
                     // The other file only seems to be gone: the pipeline does not check it again.
                     None if !self.output.is_in_place() => return InspectionResult::OutputsAway,
                     conflict => conflict,
@@ -476,13 +476,10 @@ impl Root {
     }
 
     /// Why these outputs must not be written: one would replace particles, a mesh or a level set of
-    /// another program, or an obstacle of any watched folder. `None` if nothing is wrong. An output that this program
-    /// has written and that was cut off since then may be replaced.
-    fn conflict_of(&self, outputs: &[PathBuf], written: &[(PathBuf, FileStamp)]) -> Option<String> {
+    /// another program, or an obstacle of any watched folder. `None` if nothing is wrong.
+    fn conflict_of(&self, outputs: &[PathBuf]) -> Option<String> {
         for output in outputs {
-            let is_beginning =
-                || written.iter().any(|(path, stamp)| path == output && was_cut_off(output, stamp));
-            if replaces_data(output) && !is_beginning() {
+            if replaces_data(output) {
                 return Some(replacement(output));
             }
             for obstacles in &self.obstacles {
