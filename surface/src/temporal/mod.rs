@@ -62,6 +62,10 @@ const DISAGREEMENT: [f32; 2] = [1.0, 2.0];
 /// Share of the particles around a voxel, by weight, that cannot be followed.
 const LOST: [f32; 2] = [0.1, 0.5];
 
+/// The most that φ changes, in voxels. So a voxel that is farther from the surface stays on its side of it, and no
+/// piece appears away from the frame's own fluid.
+const CHANGE_MAX: f32 = 1.0;
+
 /// A frame with which its neighbours in time are averaged: its own level set, and its particles as given.
 pub struct TimedFrame {
     band: Arc<NarrowBand>,
@@ -252,6 +256,7 @@ fn average_leaf(
         }
     }
     for (phi, changed) in leaf.values.iter_mut().zip(changed) {
+        let changed = changed.clamp(-CHANGE_MAX, CHANGE_MAX);
         changes.voxel_count += usize::from(phi.abs() < half_width);
         changes.squares += f64::from(changed) * f64::from(changed);
         *phi += changed;
