@@ -30,8 +30,8 @@ TICK_SECONDS = 0.05
 class Bake:
     """One bake. The main thread visits the frames and copies points; a thread computes and writes.
 
-    A frame that fails is left out: the file holds the frame before it. `errors` has the reasons; `warning` is the first
-    warning about averages over time. The files of
+    A frame that fails is left out: the file holds the frame before it. `errors` has the reasons. `warnings` has those about
+    averaged surfaces, with the first frame of each. The files of
     the frames are in a temporary folder beside the result, which is removed at the end. `temporal` is the number of
     frames on each side with which a surface is averaged.
     """
@@ -54,7 +54,7 @@ class Bake:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="meniscus-bake")
         self._future: Future[str] | None = None
         self._averages = Averages(temporal, 1 / self._fps) if temporal else None
-        self.warning = ""
+        self.warnings: dict[str, int] = {}
         file.parent.mkdir(parents=True, exist_ok=True)
         self._folder = Path(tempfile.mkdtemp(prefix=f".{file.stem}-", dir=file.parent))
 
@@ -145,8 +145,8 @@ class Bake:
                 errors.append(f"frame {frame}: {found}")
                 continue
             errors.append(self._save(frame, found))
-            if found.warnings and not self.warning:
-                self.warning = f"frame {frame}: {'; '.join(found.warnings)}"
+            for warning in found.warnings:
+                self.warnings.setdefault(warning, frame)
         return "\n".join(filter(None, errors))
 
     def _save(self, frame: int, surface: pymeniscus.Surface) -> str:
@@ -373,8 +373,8 @@ class MENISCUS_OT_bake(bpy.types.Operator):
             except (ReferenceError, RuntimeError) as error:
                 self.report({"ERROR"}, str(error))
                 return {"CANCELLED"}
-        if bake.warning:
-            self.report({"WARNING"}, bake.warning)
+        for warning, frame in bake.warnings.items():
+            self.report({"WARNING"}, f"frame {frame}: {warning}")
         self.report({"INFO"}, f"{bake.written} frames are in {bake.file}")
         return {"FINISHED"}
 

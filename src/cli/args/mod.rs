@@ -491,8 +491,8 @@ option_set! {
         /// How long a file must be unchanged before it is read [default: 500ms]
         ///
         /// If its format cannot show whether it is complete: four times as long. If its format shows that it
-        /// is incomplete: at least 30s, with --once four times as long; then it is read, and its frame fails
-        /// with a message about the missing part.
+        /// is incomplete: at least 30s, or with --once only four times this time; then it is read, and its
+        /// frame fails with a message about the missing part.
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(super) settle: Option<Duration>,
 

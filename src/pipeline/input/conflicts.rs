@@ -68,8 +68,8 @@ impl fmt::Display for Conflict {
                 };
                 write!(
                     f,
-                    "the output {output} would replace a file that is not a surface of meniscus, or only the beginning of \
-                     one{others}: move {files} away, or choose another folder or format"
+                    "the output {output} would replace a file that is not a surface of meniscus, or is only the beginning \
+                     of one{others}: move {files} away, or choose another folder or format"
                 )
             }
             Conflict::Unreadable { output, source } => write!(

@@ -247,6 +247,27 @@ fn no_other_frames_change_nothing() {
     assert!(averaged(&unknown, [Some(&unknown), None]).mesh == surface.mesh);
 }
 
+/// However the other frames differ, no voxel changes by more than one voxel.
+#[test]
+fn changes_are_limited() {
+    let own = block(8, 0.0, 1);
+    let given = Given { points: own.clone(), ids: ids(own.len()), velocities: None };
+    let layer = own.iter().filter(|at| at.z < 0.5 * SPACING).map(|at| *at + 8.0 * SPACING * DVec3::Z);
+    let grown = Given { points: own.iter().copied().chain(layer).collect(), ..Given::default() };
+    let ((_, timed), (_, grown)) = (smoothed(&given), smoothed(&grown));
+    let particles = TrackedParticles::new(given.moving(), RADII * SPACING);
+    let other = Arc::new(TimedFrame { band: Arc::clone(&grown.band), particles });
+    let others = [-1, 1].map(|steps| OtherFrame { frame: Arc::clone(&other), steps });
+    let lattice = Lattice { voxel_size: settings().voxel_size };
+    let config = TemporalConfig { frames: 1, seconds: None, spacing: SPACING, lattice };
+    let mut band = NarrowBand::clone(&timed.band);
+    average(&mut band, &timed, &others, &config);
+    let pairs = band.phi.leaves.iter().zip(&timed.band.phi.leaves);
+    let changes = pairs.flat_map(|(after, before)| after.values.iter().zip(&before.values));
+    let most = changes.map(|(after, before)| (after - before).abs()).fold(0.0, f32::max);
+    assert!((most - CHANGE_MAX).abs() < 1e-4, "{most}");
+}
+
 /// A drop that exists in the middle frame only keeps its volume, and one that exists in the others only leaves
 /// no ghost.
 #[test]
