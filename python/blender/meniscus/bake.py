@@ -30,10 +30,9 @@ TICK_SECONDS = 0.05
 class Bake:
     """One bake. The main thread visits the frames and copies points; a thread computes and writes.
 
-    A frame that fails is left out: the file holds the frame before it. `errors` has the reasons. `warnings` has those about
-    averaged surfaces, with the first frame of each. The files of
-    the frames are in a temporary folder beside the result, which is removed at the end. `temporal` is the number of
-    frames on each side with which a surface is averaged.
+    A frame that fails is left out: the file holds the frame before it. `errors` has the reasons. `warnings` has those
+    about averaged surfaces, with the first frame of each. The files of the frames are in a temporary folder beside the
+    result, which is removed at the end. `temporal` is the number of frames on each side with which a surface is averaged.
     """
 
     def __init__(
