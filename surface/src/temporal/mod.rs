@@ -15,7 +15,7 @@
 //! Here u_k is the mean displacement of the particles around x to the frame k steps away, w_k the binomial
 //! weight, and c_k the confidence. The confidence falls to zero where particles appear or vanish, where the
 //! displacements of neighbouring particles scatter, and where the level sets disagree by about a spacing: there
-//! the topology changes, ids were used again, or velocities have another unit.
+//! the topology changes, ids were used again, or velocities are much too large.
 //!
 //! The caller restores distances afterwards, and clamps φ to the bounds of the frame. So the guarantees are
 //! those of a frame alone.
