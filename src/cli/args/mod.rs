@@ -89,7 +89,8 @@ option_set! {
         /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is created. If PATH is a file,
         /// its extension selects the format. To create a folder with a name like that of a file, end it with a
         /// slash: shot.obj/. Files are written under temporary names, and renamed when they are complete. They
-        /// never replace an input, particles, or a mesh or level set of another program.
+        /// never replace an input, or a .ply, .vtp or .vdb file of another program, but other files of their
+        /// names.
         #[arg(short, long, value_name = "PATH", required_unless_present = "print_settings")]
         pub(super) out: Option<PathBuf>,
 
