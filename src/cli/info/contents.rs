@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 
 use glam::DVec3;
+use meniscus_formats::gltf::SequenceInfo;
 use meniscus_formats::vdb::{GridInfo, MetaValue};
 use meniscus_formats::{AttributeRole, FileAttribute, MeshData, ParticleFrame, Values};
 use serde::Serialize;
@@ -13,7 +14,7 @@ use crate::pipeline::{MeasuredSpacing, particles};
 use crate::surface::options::Preset;
 use crate::surface::particles::OwnedPositions;
 
-use super::{BoundingBox, block, row, short, vector};
+use super::{BoundingBox, block, f32_digits, row, vector};
 
 /// A frame of particles.
 #[derive(Debug, Serialize)]
@@ -90,7 +91,7 @@ impl ParticlesInfo {
             },
             not_finite: positions().filter(|position| !position.is_finite()).count(),
             bounds: match particles {
-                OwnedPositions::F32(_) => bounds.map(BoundingBox::short),
+                OwnedPositions::F32(_) => bounds.map(BoundingBox::with_f32_digits),
                 OwnedPositions::F64(_) => bounds,
             },
             attributes,
@@ -122,9 +123,10 @@ fn attribute_info(attribute: &FileAttribute) -> AttributeInfo {
         min_max.map(|(a, b)| (PrintedNumber::Integer(a), PrintedNumber::Integer(b)))
     };
     let f32_range = |&x: &f32| real_range(f64::from(x));
-    let short = |min_max: Option<(f64, f64)>| real(min_max.map(|(min, max)| (short(min), short(max))));
+    let single =
+        |min_max: Option<(f64, f64)>| real(min_max.map(|(min, max)| (f32_digits(min), f32_digits(max))));
     let (value_type, ranges): (_, Vec<Option<(PrintedNumber, PrintedNumber)>>) = match &attribute.values {
-        Values::F32(values) => ("f32", ranges(values, arity, f32_range, short)),
+        Values::F32(values) => ("f32", ranges(values, arity, f32_range, single)),
         Values::F64(values) => ("f64", ranges(values, arity, |&x| real_range(x), real)),
         Values::U8(values) => ("u8", ranges(values, arity, |&x| Some(i64::from(x)), whole)),
         Values::I32(values) => ("i32", ranges(values, arity, |&x| Some(i64::from(x)), whole)),
@@ -365,7 +367,7 @@ impl fmt::Display for MeshInfo {
             row(f, "vertices not finite", first)?;
         }
         if let Some(bounds) = self.bounds {
-            row(f, "bounds", bounds.short())?;
+            row(f, "bounds", bounds.with_f32_digits())?;
         }
         row(f, "area", significant(self.area))?;
         row(f, "volume", significant(self.volume))?;
@@ -480,14 +482,13 @@ pub(super) struct SequenceFileRecord {
 }
 
 impl SequenceFileRecord {
-    /// A sequence file with this number of frames, these totals of vertices and triangles over all frames,
-    /// and these attributes; the rest comes from its recorded metadata.
+    /// A sequence file with this content and these attributes; the rest comes from its recorded metadata.
     pub(super) fn new(
-        frames: u64,
-        [vertices, triangles]: [u64; 2],
+        info: SequenceInfo,
         attributes: Vec<String>,
         made_by: Option<&BTreeMap<String, String>>,
     ) -> SequenceFileRecord {
+        let SequenceInfo { frames, vertices, triangles } = info;
         let number = |name: &str| made_by?.get(name)?.parse().ok();
         let fps = made_by.and_then(|made_by| made_by.get("fps")?.parse().ok());
         let [first, last] = ["first", "last"].map(number);

@@ -15,8 +15,8 @@ use std::{io, iter};
 
 use anyhow::{Result, anyhow, bail};
 use meniscus_formats::{
-    Codec, Format, Limits, OutputFormat, Probe, ProbedKind, abc, escaped, gltf, ply, probe, read_mesh,
-    read_particles, read_provenance, usda, usdc, vdb, vtk,
+    Codec, Format, Limits, MeshData, OutputFormat, Probe, ProbedKind, abc, escaped, gltf, ply, probe,
+    read_mesh, read_particles, read_provenance, usda, usdc, vdb, vtk,
 };
 use serde::Serialize;
 
@@ -54,6 +54,7 @@ struct FileInfo {
     mesh: Option<MeshInfo>,
     #[serde(skip_serializing_if = "Option::is_none")]
     grids: Option<Vec<GridRecord>>,
+    /// Programs read it as `shot`, so the JSON keeps this name.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[serde(rename = "shot")]
     sequence: Option<SequenceFileRecord>,
@@ -81,18 +82,13 @@ struct LayerRecord {
 /// If the result cannot be written as JSON.
 pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<CommandOutcome> {
     let mut counts = DoneCounts::default();
-    // An element of the JSON array is held back until it is known whether a comma follows.
-    let mut last_element: Option<String> = None;
+    let mut array = JsonArray::default();
     for given in &args.files {
         // Steps are read one at a time, because a file may have a million of them.
         for path in files_of(given, console) {
             let info = file_info(&path);
             if args.json {
-                let element = indented(&json_text(&info)?);
-                match last_element.replace(element) {
-                    Some(before) => console.print_raw(&format!("{before},")),
-                    None => console.print_raw("["),
-                }
+                array.add(&info, console)?;
             }
             match &info.error {
                 Some(error) => {
@@ -105,7 +101,7 @@ pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<CommandOutc
         }
     }
     if args.json {
-        console.print_raw(&last_element.map_or("[]".to_owned(), |last| format!("{last}\n]")));
+        array.end(console);
     }
     Ok(counts.outcome())
 }
@@ -128,6 +124,27 @@ fn files_of(path: &Path, console: &Console) -> Box<dyn Iterator<Item = PathBuf>>
     Box::new(found.files.into_iter().map(|file| file.path))
 }
 
+/// Prints a JSON array, each element as soon as the next one is known.
+#[derive(Debug, Default)]
+struct JsonArray {
+    /// The last element is held back, because a comma follows unless it stays the last.
+    last: Option<String>,
+}
+
+impl JsonArray {
+    fn add(&mut self, element: &impl Serialize, console: &mut Console) -> serde_json::Result<()> {
+        match self.last.replace(indented(&json_text(element)?)) {
+            Some(before) => console.print_raw(&format!("{before},")),
+            None => console.print_raw("["),
+        }
+        Ok(())
+    }
+
+    fn end(self, console: &mut Console) {
+        console.print_raw(&self.last.map_or("[]".to_owned(), |last| format!("{last}\n]")));
+    }
+}
+
 /// The lines of an element of a JSON array, indented.
 fn indented(json: &str) -> String {
     json.lines().map(|line| format!("  {line}")).collect::<Vec<_>>().join("\n")
@@ -144,56 +161,50 @@ fn file_info(path: &Path) -> FileInfo {
 
 impl FileInfo {
     fn fill(&mut self, path: &Path) -> Result<()> {
-        if path.is_dir() {
-            bail!(
-                "this is a folder: give the files in it, or a pattern such as {}",
-                path.join("*.glb").display()
-            );
-        }
-        if path.symlink_metadata().is_err_and(|error| is_absent(path, &error)) && step_of(path).is_none() {
-            bail!("no such file or folder");
-        }
-        if path.is_symlink() && path.metadata().is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
-            bail!("this link leads to a file that does not exist");
-        }
-        let bytes = match step_of(path) {
-            None => {
-                // A file with too many frames is refused before it is read as a whole.
-                frames_in(path)?;
-                if self.fill_large_sequence(path)? {
-                    return Ok(());
-                }
-                read_regular(path)?
+        check_file(path)?;
+        let bytes = if step_of(path).is_some() {
+            read_file(path).map_err(|error| reason(&error))?
+        } else {
+            // A file with too many frames is refused before it is read as a whole.
+            frames_in(path)?;
+            if self.fill_large_sequence(path)? {
+                return Ok(());
             }
-            Some(_) => read_file(path).map_err(|error| reason(&error))?,
+            read_regular(path)?
         };
+        self.fill_content(path, &bytes)
+    }
+
+    /// Describes the content of a file.
+    fn fill_content(&mut self, path: &Path, bytes: &[u8]) -> Result<()> {
         let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
-        let Probe { kind, codec } = probe(&bytes, &name);
+        let Probe { kind, codec } = probe(bytes, &name);
         self.kind = kind.name().to_owned();
         self.gzipped = codec == Some(Codec::Gzip);
         self.packed = codec.map(Codec::adjective);
         self.bytes = bytes.len();
+        self.made_by = if codec.is_none() { made_by(kind, bytes) } else { None };
         let limits = Limits::default();
-        self.made_by = if codec.is_none() { made_by(kind, &bytes) } else { None };
-        // `read_mesh` decompresses; the readers below expect uncompressed meshes. They refuse compressed
-        // level sets.
-        let is_packed_mesh = codec.is_some()
-            && kind.format().is_some_and(|format| format.has_mesh() && !format.has_particles());
-        if is_packed_mesh {
-            let no_files = |_: &str| -> io::Result<Vec<u8>> { Err(io::ErrorKind::NotFound.into()) };
-            self.mesh = Some(MeshInfo::of(&read_mesh(&bytes, &name, &limits, &no_files)?));
-            return Ok(());
-        }
-        match kind {
-            ProbedKind::Format(format)
-                if codec.is_none() && self.fill_surface(format, &bytes, &name, &limits)? => {}
-            _ => {
-                let frame = read_particles(&bytes, &name, &limits)?;
-                self.notes.clone_from(&frame.notes);
-                let measured = measure_spacing([path], &SpacingOptions::default()).ok();
-                self.particles = Some(ParticlesInfo::of(frame, measured.as_ref()));
+        let is_surface = match kind.format() {
+            Some(format) if codec.is_none() => self.fill_surface(format, bytes, &name, &limits)?,
+            Some(format) if has_only_mesh(format) => {
+                self.mesh = Some(MeshInfo::of(&read_mesh_alone(bytes, &name, &limits)?));
+                true
             }
+            _ => false,
+        };
+        if !is_surface {
+            // This includes other compressed files. Compressed level sets are refused here.
+            self.fill_particles(path, bytes, &name, &limits)?;
         }
+        Ok(())
+    }
+
+    fn fill_particles(&mut self, path: &Path, bytes: &[u8], name: &str, limits: &Limits) -> Result<()> {
+        let frame = read_particles(bytes, name, limits)?;
+        self.notes.clone_from(&frame.notes);
+        let measured = measure_spacing([path], &SpacingOptions::default()).ok();
+        self.particles = Some(ParticlesInfo::of(frame, measured.as_ref()));
         Ok(())
     }
 
@@ -211,19 +222,18 @@ impl FileInfo {
         if !made_by.as_ref().is_some_and(|made_by| made_by.contains_key(gltf::SEQUENCE_FRAMES)) {
             return Ok(false);
         }
-        self.kind = ProbedKind::Format(format).name().to_owned();
+        let read = match format {
+            Format::Usdc => usdc::read_layer_info(&mut file, &Limits::default())
+                .map(|(info, attributes)| Some((sequence_of(info, info.frames.unwrap_or(1)), attributes))),
+            _ => abc::read_sequence_info(&mut file),
+        };
+        let Some(read) = read.transpose() else { return Ok(false) };
+        // These are known, and printed, even if the sequence is damaged.
+        self.kind = format.name().to_owned();
         self.bytes = usize::try_from(file.metadata()?.len())?;
         self.made_by = made_by;
-        match format {
-            Format::Usdc => {
-                let (info, attributes) = usdc::read_layer_info(&mut file, &Limits::default())?;
-                self.set_sequence(info.frames.unwrap_or(1), [info.vertices, info.faces], attributes);
-            }
-            _ => match abc::read_sequence_info(&mut file)? {
-                Some((info, attributes)) => self.set_sequence_info(info, attributes),
-                None => return Ok(false),
-            },
-        }
+        let (info, attributes) = read?;
+        self.set_sequence(info, attributes);
         Ok(true)
     }
 
@@ -235,15 +245,15 @@ impl FileInfo {
                 self.grids = Some(vdb::grids(bytes, limits)?.into_iter().map(GridRecord::from).collect());
             }
             Format::Glb | Format::Gltf => match gltf::read_sequence_info(bytes)? {
-                Some(info) => self.set_sequence_info(info, gltf::read_attribute_names(bytes)?),
+                Some(info) => self.set_sequence(info, gltf::read_attribute_names(bytes)?),
                 None => {
                     let mesh = MeshInfo::of(&gltf::read_mesh(bytes, limits)?);
                     self.mesh = Some(mesh.with_attributes(&gltf::read_attributes(bytes, limits)?));
                 }
             },
             Format::Usda => match usda::read_layer_info(bytes)? {
-                Some(usda::LayerInfo { vertices, faces, frames: Some(frames) }) => {
-                    self.set_sequence(frames, [vertices, faces], usda::read_attribute_names(bytes));
+                Some(info @ usda::LayerInfo { frames: Some(frames), .. }) => {
+                    self.set_sequence(sequence_of(info, frames), usda::read_attribute_names(bytes));
                 }
                 Some(usda::LayerInfo { vertices, faces, frames: None }) => {
                     self.layer = Some(LayerRecord { vertices, faces });
@@ -274,24 +284,51 @@ impl FileInfo {
                 self.notes.clone_from(&vertices.notes);
                 self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
             }
-            format if format.has_mesh() && !format.has_particles() => {
-                let no_files = |_: &str| -> io::Result<Vec<u8>> { Err(io::ErrorKind::NotFound.into()) };
-                self.mesh = Some(MeshInfo::of(&read_mesh(bytes, name, limits, &no_files)?));
+            format if has_only_mesh(format) => {
+                self.mesh = Some(MeshInfo::of(&read_mesh_alone(bytes, name, limits)?));
             }
             _ => return Ok(false),
         }
         Ok(true)
     }
 
-    fn set_sequence_info(&mut self, info: gltf::SequenceInfo, attributes: Vec<String>) {
-        let gltf::SequenceInfo { frames, vertices, triangles } = info;
-        self.set_sequence(frames, [vertices, triangles], attributes);
-    }
-
-    fn set_sequence(&mut self, frames: u64, counts: [u64; 2], attributes: Vec<String>) {
+    fn set_sequence(&mut self, info: gltf::SequenceInfo, attributes: Vec<String>) {
         self.kind += ", a sequence file";
-        self.sequence = Some(SequenceFileRecord::new(frames, counts, attributes, self.made_by.as_ref()));
+        self.sequence = Some(SequenceFileRecord::new(info, attributes, self.made_by.as_ref()));
     }
+}
+
+/// Refuses a path without a file, and says why.
+fn check_file(path: &Path) -> Result<()> {
+    if path.is_dir() {
+        bail!(
+            "this is a folder: give the files in it, or a pattern such as {}",
+            path.join("*.glb").display()
+        );
+    }
+    if path.symlink_metadata().is_err_and(|error| is_absent(path, &error)) && step_of(path).is_none() {
+        bail!("no such file or folder");
+    }
+    if path.is_symlink() && path.metadata().is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
+        bail!("this link leads to a file that does not exist");
+    }
+    Ok(())
+}
+
+fn has_only_mesh(format: Format) -> bool {
+    format.has_mesh() && !format.has_particles()
+}
+
+/// Reads a mesh, compressed or not. Fails if parts of it are in other files.
+fn read_mesh_alone(bytes: &[u8], name: &str, limits: &Limits) -> meniscus_formats::Result<MeshData> {
+    let no_files = |_: &str| -> io::Result<Vec<u8>> { Err(io::ErrorKind::NotFound.into()) };
+    read_mesh(bytes, name, limits, &no_files)
+}
+
+/// The sequence in a layer. The faces of a sequence are triangles.
+fn sequence_of(layer: usda::LayerInfo, frames: u64) -> gltf::SequenceInfo {
+    let usda::LayerInfo { vertices, faces, .. } = layer;
+    gltf::SequenceInfo { frames, vertices, triangles: faces }
 }
 
 /// Why a step cannot be read, without the name of the step, which the caller prints.
@@ -308,7 +345,7 @@ fn stage_note(made_by: &BTreeMap<String, String>, bytes: &[u8]) -> String {
     format!("a stage: it plays the files of {frames} frames{times}")
 }
 
-/// Holds the provenance.
+/// Bytes at the start of a file that contain the provenance.
 const HEAD_BYTES: u64 = 64 << 10;
 
 /// What meniscus recorded in a file about how it was made; `None` for files of other programs.
@@ -324,7 +361,7 @@ impl fmt::Display for FileInfo {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let packed = self.packed.map(|packed| format!(", {packed}")).unwrap_or_default();
         write!(f, "{}: {}{packed}, {} bytes", escaped(&self.file), self.kind, self.bytes)?;
-        self.sequence.iter().try_for_each(|shot| write!(f, "{shot}"))?;
+        self.sequence.iter().try_for_each(|sequence| write!(f, "{sequence}"))?;
         self.mesh.iter().try_for_each(|mesh| write!(f, "{mesh}"))?;
         self.particles.iter().try_for_each(|particles| write!(f, "{particles}"))?;
         for grid in self.grids.iter().flatten() {
@@ -385,13 +422,13 @@ impl BoundingBox {
     }
 
     /// The same box for 32-bit positions: its numbers are printed with the digits of 32-bit numbers.
-    fn short(self) -> BoundingBox {
-        BoundingBox { min: self.min.map(short), max: self.max.map(short) }
+    fn with_f32_digits(self) -> BoundingBox {
+        BoundingBox { min: self.min.map(f32_digits), max: self.max.map(f32_digits) }
     }
 }
 
 /// The `f64` that prints with the digits of this `f32`: 1.4 and not 1.399999976158142.
-fn short(value: f64) -> f64 {
+fn f32_digits(value: f64) -> f64 {
     (value as f32).to_string().parse().unwrap_or(value)
 }
 
