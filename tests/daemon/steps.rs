@@ -121,11 +121,7 @@ fn status_lists_failed_steps() {
     let is_listed =
         |step: &str, words: &str| lines.iter().any(|line| line.contains(step) && line.contains(words));
     assert!(is_listed("step=2: ", &format!("LAMMPS dump, at line {line}: ")), "{}", status.out);
-    assert!(
-        is_listed("step=4: ", "will be retried when the file changes or the daemon restarts"),
-        "{}",
-        status.out
-    );
+    assert!(is_listed("step=4: ", "next try when the file changes or the daemon restarts"), "{}", status.out);
     let json = scene.run(&["status", "--out", "out", "--json"]);
     let json: serde_json::Value = serde_json::from_str(&json.out).expect("JSON");
     assert_eq!((&json["counts"]["failed"], &json["counts"]["retrying"]), (&2.into(), &0.into()));

@@ -30,15 +30,15 @@ pub(super) fn print(
         if let Some((first, last)) = steps_of(&state, &path) {
             bail!("{}: it has several frames: give one of them, from {first} to {last}", frame.display());
         }
-        let Some((input, record)) = recorded(&state, &path) else { continue };
-        let has_daemon = !matches!(Holder::of(folder)?, Holder::Unlocked);
+        let Some((input, record)) = find_frame(&state, &path) else { continue };
+        let may_have_daemon = !matches!(Holder::of(folder)?, Holder::Unlocked);
         let absolute = folder.canonicalize().unwrap_or_else(|_| folder.clone());
-        let status = FrameStatus::new(input, record, &absolute, has_daemon);
+        let status = FrameStatus::new(input, record, &absolute, may_have_daemon);
         if as_json {
             console.print_json(&status)?;
         } else {
             console.print_lines(status.details(now_ms(), file_of(input).exists()));
-            if !has_daemon && status.is_to_come() {
+            if !may_have_daemon && status.is_to_come() {
                 console.print_line(format_args!("no daemon is running for {}: start one", folder.display()));
             }
         }
@@ -65,7 +65,7 @@ fn known_path(frame: &Path) -> PathBuf {
 }
 
 /// The record of a frame. The watched folder may be a link: then the recorded path is another one.
-fn recorded<'a>(state: &'a RecordedState, path: &Path) -> Option<(&'a Path, &'a RecordedFrame)> {
+fn find_frame<'a>(state: &'a RecordedState, path: &Path) -> Option<(&'a Path, &'a RecordedFrame)> {
     let is_meant =
         |input: &Path| input == path || input.file_name() == path.file_name() && known_path(input) == path;
     let exact = state.frames.get_key_value(path);
@@ -73,7 +73,7 @@ fn recorded<'a>(state: &'a RecordedState, path: &Path) -> Option<(&'a Path, &'a 
     found.map(|(input, record)| (&**input, record))
 }
 
-/// The first and the last of the frames in this file, if several are recorded.
+/// The first and the last of the frames that are recorded of this file, if it is one with steps.
 fn steps_of(state: &RecordedState, file: &Path) -> Option<(String, String)> {
     let steps = state.frames.keys().filter(|input| input.parent() == Some(file));
     let mut steps: Vec<String> = steps.map(|input| input.display().to_string()).collect();
@@ -97,8 +97,11 @@ impl FrameStatus {
         let mut line = |name: &str, text: &str| lines.push(format!("  {name:<9} {text}"));
         let state = self.state.map_or_else(|| "done".to_owned(), |state| state.to_string());
         line("state", &format!("{state}, {}", ago(self.at_ms, now_ms)));
-        for text in self.reason.as_deref().into_iter().chain(self.retried) {
-            line("reason", text);
+        if let Some(reason) = &self.reason {
+            line("reason", reason);
+        }
+        if let Some(when) = self.next_try {
+            line("next try", when);
         }
         if !file_exists {
             line("file", "it no longer exists");

@@ -73,7 +73,7 @@ impl FrameStatus {
         if self.attempts > 1 {
             about.push(format!("{} attempts", self.attempts));
         }
-        about.extend(self.retried.map(str::to_owned));
+        about.extend(self.next_try.map(|when| format!("next try {when}")));
         about.push(ago(self.at_ms, now_ms));
         let input = &self.input;
         match &self.reason {

@@ -90,9 +90,9 @@ struct FrameStatus {
     /// The id of its settings.
     settings: String,
     at_ms: u64,
-    /// When the daemon tries the failed frame again although its file has not changed.
+    /// When the daemon tries the failed frame again; `None` if only a change of its file leads to that.
     #[serde(skip)]
-    retried: Option<&'static str>,
+    next_try: Option<&'static str>,
 }
 
 fn write_state<S: Serializer>(state: &Option<UnfinishedState>, to: S) -> Result<S::Ok, S::Error> {
@@ -349,7 +349,7 @@ impl FrameStatus {
             flaws: Vec::new(),
             settings: String::new(),
             at_ms: frame.at_ms(),
-            retried: None,
+            next_try: None,
         };
         if let Some(record) = &frame.unfinished {
             return FrameStatus {
@@ -357,12 +357,10 @@ impl FrameStatus {
                 reason: record.reason.as_ref().map(ToString::to_string),
                 attempts: record.attempts,
                 settings: record.settings.clone(),
-                retried: match record.state {
-                    UnfinishedState::Refused if is_running => Some("will be checked again at each scan"),
-                    UnfinishedState::Refused => Some("will be checked again when a daemon starts"),
-                    UnfinishedState::AwaitsRestart => {
-                        Some("will be retried when the file changes or the daemon restarts")
-                    }
+                next_try: match record.state {
+                    UnfinishedState::Refused if is_running => Some("at the next scan"),
+                    UnfinishedState::Refused => Some("when a daemon starts"),
+                    UnfinishedState::AwaitsRestart => Some("when the file changes or the daemon restarts"),
                     _ => None,
                 },
                 ..empty

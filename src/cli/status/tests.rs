@@ -71,7 +71,7 @@ fn text_has_the_values_of_the_json() {
     let awaiting_restart = record(&state(), Holder::Unlocked).failed[25].text(64_000);
     assert_eq!(
         awaiting_restart,
-        "/sim/cut.ply: PLY, at byte 9: too short (4 attempts, will be retried when the file changes or the daemon restarts, 55s ago)"
+        "/sim/cut.ply: PLY, at byte 9: too short (4 attempts, next try when the file changes or the daemon restarts, 55s ago)"
     );
     // Not only all retries: a frame that exceeds the memory limit is not retried at all.
     assert_eq!(UnfinishedState::AwaitsRestart.to_string(), "failed");
