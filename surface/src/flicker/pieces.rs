@@ -7,8 +7,8 @@
 //!    ╰─────────╯   ghost   ghost
 //! ```
 //!
-//! A piece is what edges join. A particle belongs to the piece that is nearest to it, if it is inside. Pieces with
-//! negative volume are the walls of cavities.
+//! A shell is a set of triangles that are connected by common edges. A shell with positive volume is a piece;
+//! one with negative volume is the wall of a cavity. A particle belongs to the nearest shell, if it is inside.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -22,7 +22,7 @@ use crate::parallel::Loops as _;
 pub struct Enclosed {
     /// The volume in cubic spacings.
     pub volume: f64,
-    /// The number of pieces.
+    /// The number of pieces. The wall of a cavity is not one.
     pub piece_count: usize,
     /// The number of ghosts among them.
     pub ghost_count: usize,
@@ -34,17 +34,17 @@ const GHOST_SHARE: f64 = 0.5;
 /// Measures the surface of a frame whose particles are `spacing` apart, world units.
 pub fn enclosed(frame: &FlickerFrame, spacing: f64) -> Enclosed {
     let triangles = frame.surface.triangles();
-    let (piece_of, piece_count) = pieces(triangles);
-    // Volumes relative to a corner of each piece, to keep precision far from the origin.
-    let mut origins: Vec<Option<DVec3>> = vec![None; piece_count];
-    let mut volumes = vec![0.0; piece_count];
-    for ([a, b, c], &piece) in triangles.iter().zip(&piece_of) {
-        let origin = *origins[piece].get_or_insert(*a);
-        volumes[piece] += (a - origin).dot((b - origin).cross(c - origin)) / 6.0;
+    let (shell_of, shell_count) = shells(triangles);
+    // Volumes relative to a corner of each shell, to keep precision far from the origin.
+    let mut origins: Vec<Option<DVec3>> = vec![None; shell_count];
+    let mut volumes = vec![0.0; shell_count];
+    for ([a, b, c], &shell) in triangles.iter().zip(&shell_of) {
+        let origin = *origins[shell].get_or_insert(*a);
+        volumes[shell] += (a - origin).dot((b - origin).cross(c - origin)) / 6.0;
     }
-    let mut counts = vec![0_usize; piece_count];
-    for piece in particles_inside(frame, &piece_of).into_iter().flatten() {
-        counts[piece] += 1;
+    let mut counts = vec![0_usize; shell_count];
+    for shell in shells_of_particles(frame, &shell_of).into_iter().flatten() {
+        counts[shell] += 1;
     }
     let particle_volume = spacing * spacing * spacing;
     let is_ghost = |(volume, count): (&f64, &usize)| {
@@ -53,24 +53,27 @@ pub fn enclosed(frame: &FlickerFrame, spacing: f64) -> Enclosed {
     Enclosed {
         volume: volumes.iter().sum::<f64>() / particle_volume,
         piece_count: volumes.iter().filter(|volume| **volume > 0.0).count(),
-        ghost_count: volumes.iter().zip(&counts).filter(|piece| is_ghost(*piece)).count(),
+        ghost_count: volumes.iter().zip(&counts).filter(|shell| is_ghost(*shell)).count(),
     }
 }
 
-/// The piece of each particle; `None` for those outside.
-fn particles_inside(frame: &FlickerFrame, piece_of: &[usize]) -> Vec<Option<usize>> {
+/// The shell of each particle; `None` for those outside. `shell_of` is the shell of each triangle.
+fn shells_of_particles(frame: &FlickerFrame, shell_of: &[usize]) -> Vec<Option<usize>> {
     let positions = frame.particles.positions();
-    let piece = |index: usize| {
+    let shell = |index: usize| {
         let position = positions.position(index);
-        let (distance, triangle) =
-            frame.surface.distance_and_triangle(position.is_finite().then_some(position)?)?;
-        (distance <= 0.0).then(|| piece_of[triangle])
+        if !position.is_finite() {
+            return None;
+        }
+        let (distance, triangle) = frame.surface.distance_and_triangle(position)?;
+        let is_inside = distance <= 0.0;
+        is_inside.then(|| shell_of[triangle])
     };
-    (0..positions.len()).into_par_iter().halved().map(piece).collect()
+    (0..positions.len()).into_par_iter().halved().map(shell).collect()
 }
 
-/// The piece of each triangle, and the number of pieces.
-fn pieces(triangles: &[[DVec3; 3]]) -> (Vec<usize>, usize) {
+/// The shell of each triangle, and the number of shells.
+fn shells(triangles: &[[DVec3; 3]]) -> (Vec<usize>, usize) {
     let mut parents: Vec<u32> = (0..triangles.len() as u32).collect();
     fn root(parents: &mut [u32], mut index: u32) -> u32 {
         while parents[index as usize] != index {
@@ -97,6 +100,6 @@ fn pieces(triangles: &[[DVec3; 3]]) -> (Vec<usize>, usize) {
         let next = numbers.len();
         *numbers.entry(root).or_insert(next)
     };
-    let piece_of = (0..triangles.len() as u32).map(&mut number_of).collect();
-    (piece_of, numbers.len())
+    let shell_of = (0..triangles.len() as u32).map(&mut number_of).collect();
+    (shell_of, numbers.len())
 }

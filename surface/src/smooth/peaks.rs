@@ -21,14 +21,16 @@
 //! Sheets and filaments have creases along which φ is constant. These are not pinned, because that would pin
 //! the surface, too. A peak is distinguished by φ falling off in all directions.
 //!
-//! The largest difference between the final radius of an isolated ball and the radius that the Laplacian
-//! steps leave. Lengths are in voxels:
+//! The table shows the error of the final radius of an isolated ball, by what is pinned: the largest
+//! difference from the radius that the Laplacian steps leave. Lengths are in voxels.
 //!
 //! ```text
-//!   pinned around a peak    nothing   the peak  1 step   2 steps
-//!   r_min of 1.8 to 3.4      0.79      0.47      0.18     0.11
-//!   r_min of 3.8 to 12       0.06      0.06      0.06     0.06
+//!   pinned              nothing   only the peak   up to 1 step from it   up to 2 steps from it
+//!   r_min 1.8 to 3.4     0.79         0.47                0.18                   0.11
+//!   r_min 3.8 to 12      0.06         0.06                0.06                   0.06
 //! ```
+
+use std::ops::RangeInclusive;
 
 use glam::IVec3;
 use rayon::prelude::*;
@@ -43,8 +45,10 @@ use crate::simd::{self, Kernel, Lanes};
 /// point, and for a sheet less than 0.18.
 const FALL_MIN: f32 = 1.0;
 
-/// Minimum curvature along each axis; for a ball, 0.79. A quick test that rejects most voxels.
-const CURVATURE_MIN: f32 = 0.6;
+/// Minimum bend along each axis, in voxels. The bend is minus the second difference of side·φ, where side is
+/// the sign of φ at the voxel. At the voxel nearest to the center of a ball it is at least 0.79. A quick test
+/// that rejects most voxels.
+const BEND_MIN: f32 = 0.6;
 
 /// Depths at which peaks are searched, in voxels: nearer to the surface there are none, and farther away all
 /// voxels around them are fixed.
@@ -52,6 +56,9 @@ const DEPTHS: [f32; 2] = [1.0, 5.0];
 
 /// Radius of the pinned region around a peak, in steps along the axes.
 const PINNED_AROUND: usize = 2;
+
+/// Squared lengths of the steps to the points of the shell: the lengths are 2.8 to 3.5.
+const SHELL_SQUARES: RangeInclusive<i32> = 8..=12;
 
 /// Reach of the shell along an axis.
 const SHELL_REACH: i32 = 3;
@@ -81,7 +88,7 @@ fn peaks(topology: &Topology, phi: &Field) -> Vec<LeafMask> {
     let peaks_in_leaf = |leaf: usize| {
         let around = Neighborhood::new(&phi.leaves, topology.neighbors(), leaf);
         let mut peaks = LeafMask::EMPTY;
-        for offset in simd::dispatch(CurvesInward { around: &around }).iter() {
+        for offset in simd::dispatch(Bends { around: &around }).iter() {
             if falls_all_around(topology, phi, topology.origins()[leaf] + voxel_in_leaf(offset), &shell) {
                 peaks.insert(offset);
             }
@@ -93,16 +100,22 @@ fn peaks(topology: &Topology, phi: &Field) -> Vec<LeafMask> {
 
 /// Steps in all directions, about three voxels long.
 fn shell() -> Vec<IVec3> {
-    let reach = -SHELL_REACH..=SHELL_REACH;
-    let cube = reach.clone().flat_map(|x| {
-        let reach = reach.clone();
-        reach.clone().flat_map(move |y| reach.clone().map(move |z| IVec3::new(x, y, z)))
-    });
-    cube.filter(|step| (8..=12).contains(&step.length_squared())).collect()
+    let mut shell = Vec::new();
+    for x in -SHELL_REACH..=SHELL_REACH {
+        for y in -SHELL_REACH..=SHELL_REACH {
+            for z in -SHELL_REACH..=SHELL_REACH {
+                let step = IVec3::new(x, y, z);
+                if SHELL_SQUARES.contains(&step.length_squared()) {
+                    shell.push(step);
+                }
+            }
+        }
+    }
+    shell
 }
 
-/// True if φ falls off from a voxel to every point of the shell around it. False if some points are not
-/// stored: these are farther from the surface than a peak.
+/// Whether φ falls off from a voxel to every point of the shell around it. A point that is not stored is
+/// deeper than any peak, so φ does not fall toward it.
 fn falls_all_around(topology: &Topology, phi: &Field, voxel: IVec3, shell: &[IVec3]) -> bool {
     let value = |voxel: IVec3| {
         let (leaf, local) = topology.find_voxel(voxel)?;
@@ -114,35 +127,36 @@ fn falls_all_around(topology: &Topology, phi: &Field, voxel: IVec3, shell: &[IVe
     })
 }
 
-/// Kernel: the voxels of a leaf where φ curves toward the surface along all three axes.
-struct CurvesInward<'a> {
+/// Kernel: the voxels of a leaf, at the [depths](DEPTHS) of peaks, where φ [bends](BEND_MIN) enough along all
+/// three axes.
+struct Bends<'a> {
     around: &'a Neighborhood<'a>,
 }
 
-impl Kernel for CurvesInward<'_> {
+impl Kernel for Bends<'_> {
     type Output = LeafMask;
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> LeafMask {
-        let mut bends = LeafMask::EMPTY;
-        let bend_least = V::splat(CURVATURE_MIN);
+        let mut bent = LeafMask::EMPTY;
+        let bend_min = V::splat(BEND_MIN);
         let [shallowest, deepest] = DEPTHS.map(V::splat);
         for x in 0..8 {
             let slab = self.around.slab(x);
             for y in 0..8 {
                 let phi = slab.row::<V>(y);
-                // Depths are positive on the side of the voxel, and negative on the other side of the
-                // surface.
                 let (side, depth) = (V::splat(1.0).copysign(phi), phi.abs());
-                let mut bend = V::splat(f32::INFINITY);
+                let mut least_bend = V::splat(f32::INFINITY);
                 for [before, after] in [slab.along_x::<V>(y), slab.along_y(y), slab.along_z(y)] {
-                    bend = bend.min(depth.add(depth).sub(side.mul(before.add(after))));
+                    // The second difference is side·before − 2 side·φ + side·after, and side·φ is the depth.
+                    let bend = depth.add(depth).sub(side.mul(before.add(after)));
+                    least_bend = least_bend.min(bend);
                 }
                 let is_between = V::both(shallowest.lt(depth), depth.lt(deepest));
-                bends.set_row(x * 8 + y, V::bits(V::both(bend_least.lt(bend), is_between)));
+                bent.set_row(x * 8 + y, V::bits(V::both(bend_min.lt(least_bend), is_between)));
             }
         }
-        bends
+        bent
     }
 }
 
