@@ -7,6 +7,7 @@
 //!   records      the record of finished frames, provenance in outputs, the report of a run
 //!   output       encodes surfaces and particles
 //!   error        why a frame was not converted          warning    likely mistakes in a converted frame
+//!   diagnostics  detects voxel sizes and radii that do not fit the particles
 //!
 //!   stages       read ─▶ rasterize ─▶ smooth ─▶ contour ─▶ write, several frames in parallel
 //!   scheduler    which frame computes next              budget     memory limits of frames in flight
@@ -48,6 +49,7 @@
 //! ```
 
 mod budget;
+mod diagnostics;
 mod error;
 pub(crate) mod files;
 mod in_memory;

@@ -19,7 +19,7 @@ use crate::surface::particles::{Attribute, AttributeValues, Role};
 use crate::surface::reconstruction::FrameSurface;
 use crate::surface::space::Lattice;
 
-use super::diagnostics::diagnose;
+use crate::pipeline::diagnostics::diagnose;
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::atomic_write::{StagedFile, commit};
 use crate::pipeline::files::input_file::InputFile;
