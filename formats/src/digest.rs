@@ -15,7 +15,7 @@ const FACTORS: [u64; 2] = [0x87c3_7b91_1142_53d5, 0x4cf5_ad43_2745_937f];
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Hasher {
     state: [u64; 2],
-    /// Bytes of an incomplete block.
+    /// An incomplete block; its bytes after the first `pending_count` are zero.
     pending: [u8; DIGEST_BYTES],
     pending_count: usize,
     length: u64,
@@ -52,9 +52,7 @@ impl Hasher {
     pub(crate) fn finish(&self) -> SampleKey {
         let [mut a, mut b] = self.state;
         // The unused bytes of the last block are zero. A block of zeros does not change the state.
-        let mut last = [0; DIGEST_BYTES];
-        last[..self.pending_count].copy_from_slice(&self.pending[..self.pending_count]);
-        let [low, high] = words(&last);
+        let [low, high] = words(&self.pending);
         b ^= scrambled_high(high);
         a ^= scrambled_low(low);
         a ^= self.length;

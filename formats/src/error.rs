@@ -70,7 +70,8 @@ pub enum Error {
     },
     /// A level set needs more memory than [`crate::Limits::level_set_bytes`].
     MemoryLimit {
-        /// What the level set has, to insert after "the level set" in a message; may be empty.
+        /// What the level set has, to insert after "the level set" in a message. It starts with its own
+        /// separator, as in " with its picture" and ", with 3 leaves,", so that it may be empty.
         content: String,
         /// The required memory in MiB, rounded up.
         needed_mebibytes: u64,

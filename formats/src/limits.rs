@@ -81,7 +81,7 @@ impl Limits {
     }
 
     /// Fails if a level set needs more memory than the limit. `content` is inserted after "the level set" in
-    /// the message and may be empty.
+    /// the message; it starts with its own separator, such as a space, and may be empty.
     ///
     /// # Errors
     /// [`Error::MemoryLimit`] with the required amount.

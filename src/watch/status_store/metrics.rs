@@ -14,9 +14,9 @@ pub struct Counters {
     pub found_done: u64,
     /// Failures that are not retried before a restart.
     pub failures: u64,
-    /// Failures that are retried.
+    /// Failures that are retried. A failure counts when it happens, and not when the retry begins.
     pub retries: u64,
-    /// Full scans of a folder.
+    /// Full scans of a folder, including `rescans` and those that failed.
     pub scans: u64,
     /// Full scans because events were lost.
     pub rescans: u64,
@@ -34,7 +34,7 @@ pub const BUCKETS_S: [f64; 11] = [0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 3
 /// A histogram of values.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Histogram {
-    /// The number of values in each bucket: at most its bound, and above the bound before it.
+    /// The number of values in each bucket: those above the previous bound, up to its own.
     pub counts: [u64; BUCKETS_S.len() + 1],
     /// The sum of all values.
     pub sum: f64,
