@@ -108,7 +108,9 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         records: records.map(Arc::new),
     };
     plan.refuse_conflicts(args.report.as_deref())?;
-    destination.copy_to_stdout(plan.run(Batch::new(args, start)?, out_folder, console)?)
+    let batch = Batch::new(args, start)?;
+    let outcome = plan.run(batch, out_folder, console)?;
+    destination.copy_to_stdout(outcome)
 }
 
 /// Refuses given options for surfaces, for `--particles-only`.

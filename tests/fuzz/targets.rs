@@ -250,7 +250,7 @@ fn records(bytes: &[u8]) {
         let folder = tempfile::tempdir().expect("a folder");
         let open = || FrameRecords::open(folder.path()).expect("opened");
         let record = |records: &FrameRecords| {
-            records.record_failure(Path::new("\u{1}"), Path::new("/in"), "why").expect("recorded");
+            records.add_failure(Path::new("\u{1}"), Path::new("/in"), "why").expect("recorded");
         };
         record(&open());
         // An earlier process has left the file, and the next one continues it.

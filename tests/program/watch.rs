@@ -128,7 +128,7 @@ fn record_failure(out: &Path, frame: &Path, reason: &str) {
     let input = frame.canonicalize().expect("a path");
     let name = Path::new(frame.file_stem().expect("a name"));
     let records = FrameRecords::open(out).expect("opened");
-    records.record_failure(name, &input, reason).expect("recorded");
+    records.add_failure(name, &input, reason).expect("recorded");
 }
 
 #[test]

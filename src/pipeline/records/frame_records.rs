@@ -244,7 +244,7 @@ impl Frame {
             figures: Arc::new(Figures::of(&report, self.job)),
             certificate: is_surface.then(|| certificate(&report.reconstruction).to_string().into()),
         });
-        let record = records.record_done(record, &settings)?;
+        let record = records.add_done(record, &settings)?;
         Ok(FrameReport { record: Some(record), ..report })
     }
 
@@ -255,7 +255,7 @@ impl Frame {
     pub fn record_failure(&self, reason: &str) -> io::Result<()> {
         let Some(records) = &self.records else { return Ok(()) };
         let input = std::path::absolute(&self.input).unwrap_or_else(|_| self.input.clone());
-        records.record_failure(&self.recorded_name(records), &input, reason)
+        records.add_failure(&self.recorded_name(records), &input, reason)
     }
 }
 
@@ -437,12 +437,12 @@ impl FrameRecords {
         (!are_same).then(|| "it has other outputs".to_owned())
     }
 
-    /// Records a frame that was converted with these settings. Returns the record, which is not earlier than
+    /// Adds the record of a frame that was converted with these settings. Returns the record, which is not earlier than
     /// other records of the frame.
     ///
     /// # Errors
     /// When the record cannot be written.
-    pub fn record_done(
+    pub fn add_done(
         &self,
         mut record: Arc<DoneRecord>,
         settings: &SettingValues,
@@ -457,11 +457,11 @@ impl FrameRecords {
         Ok(record)
     }
 
-    /// Records a frame that could not be converted.
+    /// Adds the record of a frame that could not be converted.
     ///
     /// # Errors
     /// When the record cannot be written.
-    pub fn record_failure(&self, name: &Path, input: &Path, reason: &str) -> io::Result<()> {
+    pub fn add_failure(&self, name: &Path, input: &Path, reason: &str) -> io::Result<()> {
         let line = RecordLine::Unfinished(Arc::new(UnfinishedRecord {
             name: name.to_owned(),
             input: input.to_owned(),

@@ -77,8 +77,9 @@ pub(super) struct Smoothed {
     timed: Option<Arc<TimedFrame>>,
 }
 
-/// Rasterizes particles, or bounds a level set: both result in a level set and its bounds.
-pub(super) fn rasterize(
+/// The rasterize stage of a frame: rasterizes particles, or bounds a level set. Both result in a level set and its
+/// bounds.
+pub(super) fn rasterize_stage(
     shared: &StageContext<'_>,
     content: ReadContent,
     frame: &Frame,
@@ -104,8 +105,8 @@ pub(super) fn rasterize(
     shared.measured(Stage::Rasterize, frame, info, work).map(Passed::Surface)
 }
 
-/// Smooths a level set.
-pub(super) fn smooth(
+/// The smooth stage of a frame: smooths its level set.
+pub(super) fn smooth_stage(
     shared: &StageContext<'_>,
     content: Passed<Rasterized>,
     frame: &Frame,
@@ -136,9 +137,9 @@ pub(super) fn smooth(
     })
 }
 
-/// Contours a level set, which is averaged with those around it first if the settings ask for that. Then releases
-/// the memory that only computing needs.
-pub(super) fn contour(
+/// The contour stage of a frame: contours its level set, which is averaged with those around it first if the settings
+/// ask for that. Then releases the memory that only computing needs.
+pub(super) fn contour_stage(
     shared: &StageContext<'_>,
     content: Passed<Smoothed>,
     frame: &Frame,

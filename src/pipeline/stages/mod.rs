@@ -57,7 +57,7 @@ use crate::pipeline::semaphore::{Permit, Semaphore};
 use crate::pipeline::warning::Warning;
 use crate::surface::reconstruction::MemoryPlan;
 
-use compute::{contour, rasterize, smooth};
+use compute::{contour_stage, rasterize_stage, smooth_stage};
 use smoothed::{Computing, Gate, SmoothedFrames, User};
 
 /// What to do when a frame fails.
@@ -166,7 +166,7 @@ pub fn stream<K: Send>(
 fn drive<'scope, 'env: 'scope, K: Send + 'env>(
     stages: &Stages<'_, 'scope, 'env>,
     next: impl FnMut() -> Option<(K, Frame)> + Send,
-    mut finished: impl FnMut(K, Frame, Outcome),
+    mut on_finished: impl FnMut(K, Frame, Outcome),
 ) {
     let options = stages.shared.options;
     let in_flight = options.in_flight.max(1);
@@ -179,31 +179,36 @@ fn drive<'scope, 'env: 'scope, K: Send + 'env>(
     let (slot_sender, slot_receiver) = bounded(in_flight);
     // The channel has room for all frames in flight, so that a thread of the pool never waits to report an
     // outcome.
-    let (done, outcomes) = bounded(in_flight);
+    let (finished, finished_from) = bounded(in_flight);
     let (to_rasterize, to_rasterize_from) = bounded(0);
     let (to_smooth, to_smooth_from) = link(width);
     let (to_contour, to_contour_from) = link(width);
     let (to_write, to_write_from) = link(width);
     thread::scope(move |scope| {
         for _ in 0..writer_count(width) {
-            let (from, done) = (to_write_from.clone(), done.clone());
-            scope.spawn(move || stages.write(&from, &done));
+            let (from, finished) = (to_write_from.clone(), finished.clone());
+            scope.spawn(move || stages.write(&from, &finished));
         }
-        let reader_done = done.clone();
-        scope.spawn(move || stages.read(next, &slot_sender, &to_rasterize, &reader_done));
-        let of_stage = done.clone();
-        scope.spawn(move || {
-            let receive = || {
-                let mut item = to_rasterize_from.recv().ok()?;
-                item.info.memory.reserve_compute(item.info.needed_bytes);
-                item.info.computing = item.info.user.as_ref().map(|user| user.begin(&item.frame.input));
-                Some(item)
-            };
-            stages.compute(Stage::Rasterize, receive, &to_smooth, &of_stage, rasterize);
+        scope.spawn({
+            let finished = finished.clone();
+            move || stages.read(next, &slot_sender, &to_rasterize, &finished)
         });
-        let of_stage = done.clone();
-        scope.spawn(move || {
-            stages.compute(Stage::Smooth, || to_smooth_from.receive(), &to_contour, &of_stage, smooth);
+        scope.spawn({
+            let finished = finished.clone();
+            move || {
+                let receive = || {
+                    let mut item = to_rasterize_from.recv().ok()?;
+                    item.info.memory.reserve_compute(item.info.needed_bytes);
+                    item.info.computing = item.info.user.as_ref().map(|user| user.begin(&item.frame.input));
+                    Some(item)
+                };
+                stages.compute(Stage::Rasterize, receive, &to_smooth, &finished, rasterize_stage);
+            }
+        });
+        scope.spawn({
+            let finished = finished.clone();
+            let receive = move || to_smooth_from.receive();
+            move || stages.compute(Stage::Smooth, receive, &to_contour, &finished, smooth_stage)
         });
         scope.spawn(move || {
             let smoothed = &stages.shared.smoothed;
@@ -214,12 +219,12 @@ fn drive<'scope, 'env: 'scope, K: Send + 'env>(
                     !smoothed.is_computing(&mut around)
                 })
             };
-            stages.compute(Stage::Contour, receive, &to_write, &done, contour);
+            stages.compute(Stage::Contour, receive, &to_write, &finished, contour_stage);
         });
         // A stage ends when the one before it has ended, so this thread must drop its ends of the channels.
         drop(to_write_from);
-        for FinishedFrame { key, frame, outcome } in outcomes {
-            finished(key, frame, outcome);
+        for FinishedFrame { key, frame, outcome } in finished_from {
+            on_finished(key, frame, outcome);
             let _ = slot_receiver.try_recv();
         }
     });
@@ -356,12 +361,13 @@ impl<'env> StageContext<'env> {
         made.map_err(|cause| frame.failed(stage, cause))
     }
 
-    /// Reports the outcome of the frame at this place in the order of requests. Returns whether the caller still receives outcomes.
-    fn finish<K>(&self, order: usize, to: &Sender<FinishedFrame<K>>, finished: FinishedFrame<K>) -> bool {
-        if is_failure(&finished.outcome) {
+    /// Reports the outcome of the frame at this place in the order of requests. Returns whether the caller still
+    /// receives outcomes.
+    fn finish<K>(&self, order: usize, finished: &Sender<FinishedFrame<K>>, frame: FinishedFrame<K>) -> bool {
+        if is_failure(&frame.outcome) {
             self.first_failed.fetch_min(order, Ordering::Relaxed);
         }
-        to.send(finished).is_ok()
+        finished.send(frame).is_ok()
     }
 
     /// Whether a frame before this one failed, under [`OnError::Stop`].

@@ -134,11 +134,11 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
 
     /// Reads the level set of a frame, and gives the frame the voxel size and the origin of its file.
     fn level_set_of(&self, order: usize, frame: &mut Frame) -> Result<ReadResult, Outcome> {
-        let failed = |error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
         let memory_bytes = self.shared.options.memory_bytes;
         let file_bytes = frame.input.metadata().map_or(0, |metadata| metadata.len());
-        check_file_of_level_set(file_bytes, &frame.job, memory_bytes).map_err(failed)?;
-        let unchanged = read_unchanged(&frame.input).map_err(|error| failed(error.into()))?;
+        check_file_of_level_set(file_bytes, &frame.job, memory_bytes)
+            .map_err(|error| unreadable(frame, error))?;
+        let unchanged = read_unchanged(&frame.input).map_err(|error| unreadable(frame, error))?;
         let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
         let input = InputState { stamp, hash: XxHash3_128::oneshot(&bytes) };
         let given = frame.clone();
@@ -158,33 +158,30 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
 
     /// The bytes of a frame's file, or of its step.
     fn read_whole(&self, frame: &Frame) -> Result<(Vec<u8>, InputState), Outcome> {
-        let failed = |error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
         let unchanged = read_frame_unchanged(&frame.input, self.shared.options.index_policy);
-        let (bytes, stamp) = unchanged.map_err(failed)?.ok_or(Outcome::Changed)?;
+        let unchanged = unchanged.map_err(|error| unreadable(frame, error))?;
+        let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
         let hash = XxHash3_128::oneshot(&bytes);
         Ok((bytes, InputState { stamp, hash }))
     }
 
     /// Reads the particles of a frame, with the warnings about them.
     fn particles_of(&self, order: usize, frame: &Frame) -> Result<ReadResult, Outcome> {
-        let failed = |error: meniscus_formats::Error| {
-            Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error))
-        };
         let of_obstacle = |error| frame.failed(Stage::Read, Cause::Obstacle(Box::new(error)));
         let found = frame.obstacles.find(frame.number);
         let obstacles = found.map_err(|error| Outcome::Failed(of_obstacle(error)))?;
         let shared = self.shared;
         let (around, left_out_warnings) = find_around(frame, &shared.hashes, shared.options.index_policy);
         let wanted = AttributeRequest::for_settings(&frame.settings);
-        if let Some(file) = self.worth_streaming(frame).map_err(|error| failed(error.into()))? {
-            let failed = |error: io::Error| failed(error.into());
-            let input = InputState { stamp: file.stamp(), hash: file.hash().map_err(failed)? };
-            if !file.is_unchanged().map_err(failed)? {
+        if let Some(file) = self.worth_streaming(frame).map_err(|error| unreadable(frame, error))? {
+            let hash = file.hash().map_err(|error| unreadable(frame, error))?;
+            let input = InputState { stamp: file.stamp(), hash };
+            if !file.is_unchanged().map_err(|error| unreadable(frame, error))? {
                 return Err(Outcome::Changed);
             }
             self.refuse_done(frame, input, &obstacles.recorded(), &around)?;
-            let streamed = FileParticles::open(&frame.input, file)
-                .map_err(|error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error)))?;
+            let streamed =
+                FileParticles::open(&frame.input, file).map_err(|error| unreadable(frame, error))?;
             if let Some(particles) = streamed {
                 let path = frame.input.clone();
                 let choose = move || {
@@ -270,6 +267,11 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             _ => Ok(()),
         }
     }
+}
+
+/// The outcome of a frame whose file cannot be read.
+fn unreadable(frame: &Frame, error: impl Into<meniscus_formats::Error>) -> Outcome {
+    Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error.into()))
 }
 
 /// The error of a frame that needs more than its part of the memory, as an error about all of the memory.

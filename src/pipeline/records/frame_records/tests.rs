@@ -44,7 +44,7 @@ fn convert(records: &FrameRecords, name: &str, bytes: &str, voxel_size: &str) {
         figures: Arc::default(),
         certificate: None,
     };
-    records.record_done(Arc::new(record), &settings).expect("recorded");
+    records.add_done(Arc::new(record), &settings).expect("recorded");
 }
 
 fn wanted<'a>(name: &'a str, (id, settings): &'a (String, SettingValues), input_hash: u128) -> Wanted<'a> {
@@ -77,7 +77,7 @@ fn state_follows_from_the_record_and_the_files() {
     let records = FrameRecords::open(folder.path()).expect("opened");
     let path = folder.path().join("a.glb");
     assert_eq!(state(&records, "a", "0.1", 7), ResultState::Missing("there is no record of it".to_owned()));
-    records.record_failure(Path::new("a"), Path::new("/in/a.ply"), "torn").expect("recorded");
+    records.add_failure(Path::new("a"), Path::new("/in/a.ply"), "torn").expect("recorded");
     assert_eq!(state(&records, "a", "0.1", 7), ResultState::Missing("it failed: torn".to_owned()));
     convert(&records, "a", "mesh", "0.1");
     assert_eq!(state(&records, "a", "0.1", 7), ResultState::Done);
@@ -114,7 +114,7 @@ fn new_records_count_even_if_the_clock_was_set_back() {
     convert(&records, "a", "new", "0.2");
     assert_eq!(state(&records, "a", "0.2", 7), ResultState::Done);
     let input = Path::new("/in/a.ply");
-    records.record_failure(Path::new("a"), input, "torn").expect("recorded");
+    records.add_failure(Path::new("a"), input, "torn").expect("recorded");
     for records in [&records, &FrameRecords::open(folder.path()).expect("opened")] {
         assert_eq!(state(records, "a", "0.2", 7), ResultState::Done);
         assert_eq!(records.recorded().frames[input].unfinished_state(), Some(UnfinishedState::Failed));
@@ -404,7 +404,7 @@ fn record_that_leads_out_of_the_folder_is_ignored() {
     ] {
         let records = FrameRecords::open(folder.path()).expect("opened");
         let hostile = DoneRecord { name: name.into(), outputs, ..(*sound).clone() };
-        records.record_done(hostile.into(), &values("0.1")).expect("written");
+        records.add_done(hostile.into(), &values("0.1")).expect("written");
         for records in [records, FrameRecords::open(folder.path()).expect("opened")] {
             assert_eq!(records.done().len(), 1, "{name}");
         }
@@ -429,7 +429,7 @@ fn records_are_not_written_through_a_link() {
     let [folder, elsewhere] = folders.each_ref().map(tempfile::TempDir::path);
     std::os::unix::fs::symlink(elsewhere, folder.join(STATE_FOLDER)).expect("linked");
     let records = FrameRecords::open(folder).expect("opened");
-    let refused = records.record_failure(Path::new("a"), Path::new("/a"), "why").expect_err("refused");
+    let refused = records.add_failure(Path::new("a"), Path::new("/a"), "why").expect_err("refused");
     assert!(refused.to_string().contains(".meniscus is a symbolic link"), "{refused}");
     assert_eq!(fs::read_dir(elsewhere).expect("there").count(), 0);
 }
