@@ -10,11 +10,11 @@ use crate::pipeline::{DaemonState, resident_memory_bytes};
 
 use super::api::{EndReason, Notice, WatchSummary};
 use super::config::WatchConfig;
-use super::core::events::{Effect, Event, Start};
+use super::core::events::{Effect, Event, FrameToConvert};
 use super::core::state::Core;
 use super::io::error::DaemonError;
-use super::io::pipeline::{PipelineContext, start as start_pipeline};
-use super::io::start::{Workers, now, start};
+use super::io::pipeline::{PipelineContext, start_pipeline};
+use super::io::start::{Workers, now, start_workers};
 use super::status_store::StatusStore;
 
 /// Watches and converts until the caller asks it to finish or, with `once`, until all frames are converted.
@@ -32,7 +32,7 @@ pub fn run(
 ) -> Result<WatchSummary, DaemonError> {
     let config = Arc::new(config.clone());
     let (to_loop, events) = unbounded();
-    let (core, workers, context) = start(&config, store.cloned(), &to_loop)?;
+    let (core, workers, context) = start_workers(&config, store.cloned(), &to_loop)?;
     EventLoop::new(core, workers, context, events, notices)?.run(finish)
 }
 
@@ -42,7 +42,7 @@ struct EventLoop<'a> {
     workers: Workers,
     context: PipelineContext,
     /// The channel through which the pipeline gets its frames; `None` once it was asked to end.
-    pipeline: Option<Sender<Start>>,
+    pipeline: Option<Sender<FrameToConvert>>,
     has_pipeline_ended: bool,
     events: Receiver<Event>,
     notices: &'a mut dyn FnMut(Notice),
@@ -101,7 +101,7 @@ impl<'a> EventLoop<'a> {
         let mut is_ready = false;
         self.core.start();
         loop {
-            self.decide();
+            self.act();
             if once && let Some((root, why)) = self.core.unavailable_root() {
                 let folder = self.context.config.watches[root].input.clone();
                 self.end()?;
@@ -148,12 +148,13 @@ impl<'a> EventLoop<'a> {
         Ok(())
     }
 
-    /// Decides what follows from several events together, publishes it, and carries out the effects.
-    fn decide(&mut self) {
-        self.core.decide(now());
+    /// Lets the core follow up the events so far, publishes its state, and carries out the effects.
+    fn act(&mut self) {
+        self.core.follow_up(now());
         self.carry_out();
     }
 
+    /// Publishes what has changed in the core, and passes each of its effects to the thread that it is for.
     fn carry_out(&mut self) {
         self.core.publish(self.context.store.as_deref());
         // Workers live as long as the loop, so a failed send means that the loop is ending.
@@ -162,9 +163,9 @@ impl<'a> EventLoop<'a> {
                 Effect::Root(root, request) => drop(self.workers.roots[root].send(request)),
                 Effect::Slow(request) => drop(self.workers.slow.send(request)),
                 Effect::Output(output, request) => drop(self.workers.outputs[output].send(request)),
-                Effect::Start(start) => {
+                Effect::Convert(frame) => {
                     if let Some(pipeline) = &self.pipeline {
-                        let _ = pipeline.try_send(start);
+                        let _ = pipeline.try_send(frame);
                     }
                 }
                 Effect::Log(log) => log.write(),
@@ -210,7 +211,7 @@ impl<'a> EventLoop<'a> {
         self.last_tick = None;
         let mut overdue_at = Some(Instant::now() + STOP_DEADLINE);
         while !self.has_pipeline_ended {
-            self.decide();
+            self.act();
             self.tick();
             let wait = overdue_at.map_or(TICK, |at| at.saturating_duration_since(Instant::now()).min(TICK));
             let event = self.events.recv_timeout(wait);
@@ -226,7 +227,7 @@ impl<'a> EventLoop<'a> {
                 (self.notices)(Notice::Overdue);
             }
         }
-        self.decide();
+        self.act();
         self.finish(EndReason::Finish)
     }
 
@@ -350,7 +351,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let config = Arc::new(config(vec![watch(folder.path(), "hanging")]));
         let (to_loop, events) = unbounded();
-        let (core, mut workers, context) = start(&config, None, &to_loop).expect("started");
+        let (core, mut workers, context) = start_workers(&config, None, &to_loop).expect("started");
         let (answers, hanging) = bounded(0);
         let heartbeat = Heartbeat::default();
         workers.roots[0] =

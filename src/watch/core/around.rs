@@ -167,12 +167,12 @@ impl Core {
         }
     }
 
-    /// Releases held frames that need not wait any longer, and converts frames again whose surroundings have
+    /// Queues held frames that need not wait any longer, and converts frames again whose surroundings have
     /// changed.
     pub(super) fn resolve_frames_around(&mut self) {
         for id in std::mem::take(&mut self.waiting_around) {
             if self.frames.phase(&id) == Some(FramePhase::Held) {
-                self.release(&id);
+                self.queue_if_ready(&id);
             }
         }
         // Which frames are complete is known once all inspections have ended.
@@ -225,7 +225,7 @@ impl Core {
             tracing::info!(%frame, "a frame around it has come or changed: converting it again");
         });
         self.set_phase(id, FramePhase::Held);
-        self.release(id);
+        self.queue_if_ready(id);
     }
 
     /// Whether a complete frame of this name is in the folder of another one.

@@ -292,9 +292,9 @@ impl fmt::Debug for Log {
     }
 }
 
-/// A frame to convert.
+/// A frame for the pipeline.
 #[derive(Debug)]
-pub(crate) struct Start {
+pub(crate) struct FrameToConvert {
     pub(crate) id: FrameId,
     pub(crate) frame: Box<Frame>,
 }
@@ -306,6 +306,6 @@ pub(crate) enum Effect {
     Slow(SlowRequest),
     Output(usize, OutputRequest),
     /// Give a frame to the pipeline, which has asked for one.
-    Start(Start),
+    Convert(FrameToConvert),
     Log(Log),
 }

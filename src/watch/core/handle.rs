@@ -8,7 +8,7 @@ use crate::pipeline::natural_order;
 use crate::watch::api::{EndReason, FailedFrame, WatchSummary};
 
 use super::completeness::path_of_sentinel;
-use super::events::{Effect, Event, Now, OutputFolderState, OutputRequest, Presence, Start, Worker};
+use super::events::{Effect, Event, FrameToConvert, Now, OutputFolderState, OutputRequest, Presence, Worker};
 use super::frames::{FrameCounts, FrameId, FramePhase, FrameState};
 use super::state::{Core, RootState, STALL_AFTER};
 
@@ -29,9 +29,9 @@ impl Core {
             Event::StepsFound(found) => self.on_steps_found(found),
             Event::FrameRequested => self.requested_count += 1,
             Event::FrameReturned { id, frame, found } => {
-                if let Some(state) = self.frames.get_mut(&id) {
-                    state.phase = FramePhase::Queued;
-                    self.queue.push(&id, frame, state.stamp.modified_ns);
+                if let Some(modified_ns) = self.frames.get(&id).map(|state| state.stamp.modified_ns) {
+                    self.set_phase(&id, FramePhase::Queued);
+                    self.queue.push(&id, frame, modified_ns);
                 }
                 self.on_output_folder_checked(found);
             }
@@ -45,7 +45,7 @@ impl Core {
 
     /// Carries out actions that are due, and decisions that depend on several events together. Must be called
     /// after each batch of events, and when [`Core::next_deadline`] is reached.
-    pub(crate) fn decide(&mut self, now: Now) {
+    pub(crate) fn follow_up(&mut self, now: Now) {
         self.now = now;
         while let Some(id) = self.frames.next_alarm(now.at) {
             self.on_alarm(&id);
@@ -73,15 +73,15 @@ impl Core {
             // More frames around it may have come since it was queued.
             frame.around = self.frames_around(&id, &frame.settings);
             self.requested_count -= 1;
-            if let Some(state) = self.frames.get_mut(&id) {
-                // A frame around it is being written again: it is left out now, and after this conversion the
-                // frames around are compared again.
-                if state.tried_around.as_ref().is_some_and(|tried| frame.around.len() < tried.len()) {
-                    state.tried_around = None;
-                }
-                state.phase = FramePhase::InProgress;
+            // A frame around it is being written again: it is left out now, and after this conversion the
+            // frames around are compared again.
+            if let Some(state) = self.frames.get_mut(&id)
+                && state.tried_around.as_ref().is_some_and(|tried| frame.around.len() < tried.len())
+            {
+                state.tried_around = None;
             }
-            self.effects.push(Effect::Start(Start { id, frame }));
+            self.set_phase(&id, FramePhase::InProgress);
+            self.effects.push(Effect::Convert(FrameToConvert { id, frame }));
         }
     }
 

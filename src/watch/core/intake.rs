@@ -1,9 +1,9 @@
 //! Takes a file from its discovery to a queued frame, or to the reason why it is not queued.
 //!
 //! ```text
-//!   on_file_seen ──▶ inspect ··▶ on_inspected ──▶ on_complete ──▶ hold ──▶ release ──▶ enqueue
-//!        │                            │                │                     │
-//!        │                            │                │                     └ its sequence has no settings yet: held
+//!   on_file_seen ──▶ inspect ··▶ on_inspected ──▶ on_complete ──▶ accept ──▶ queue_if_ready ──▶ enqueue
+//!        │                            │                │                         │
+//!        │                            │                │                         └ no settings yet: held
 //!        │                            │                ├ it may have several steps: search for these first
 //!        │                            │                └ no particles, or another frame owns its outputs
 //!        │                            └ known from its record, or incomplete
@@ -529,7 +529,7 @@ impl Core {
                 if !id.is_step() {
                     self.forget_steps(id);
                 }
-                self.hold(id, conflict);
+                self.accept(id, conflict);
             }
         }
     }
@@ -565,16 +565,16 @@ impl Core {
         }
     }
 
-    /// Holds a complete frame for conversion, unless its outputs would replace another file.
-    pub(super) fn hold(&mut self, id: &FrameId, conflict: Option<String>) {
+    /// Accepts a complete frame for conversion, or refuses it because its outputs would replace another file.
+    pub(super) fn accept(&mut self, id: &FrameId, conflict: Option<String>) {
         if self.claim_outputs(id, conflict) {
             self.set_phase(id, FramePhase::Held);
-            self.release(id);
+            self.queue_if_ready(id);
         }
     }
 
-    /// Queues a held frame, if its sequence has settings.
-    pub(super) fn release(&mut self, id: &FrameId) {
+    /// Queues a held frame, if its sequence has settings and it need not wait for the frames around it.
+    pub(super) fn queue_if_ready(&mut self, id: &FrameId) {
         let Some(sequence) = self.frames.get(id).map(|frame| frame.sequence) else { return };
         match self.sequences.get(sequence).settings.clone() {
             SequenceSettings::Fixed(settings, _) if self.awaits_frames_around(id, &settings) => {}

@@ -13,19 +13,6 @@ use super::sequences::{MeasureOrder, SequenceSettings, SpacingResult, framing_of
 use super::state::Core;
 
 impl Core {
-    /// The index of the sequence of a file.
-    pub(super) fn sequence_of(&mut self, id: &FrameId) -> usize {
-        let watch = &self.config.watches[id.root];
-        let remembered = &self.output_folders[self.output_folder_of[id.root]].recorded.sequences;
-        let known_count = self.sequences.len();
-        let file = id.frame_file(&self.roots[id.root].path);
-        let index = self.sequences.index(id, &file, watch, |key| remembered.get(key).cloned());
-        if index == known_count {
-            self.changed_sequences.push(index);
-        }
-        index
-    }
-
     /// Warns once for each folder if files look like one sequence but form many, each with its own particle
     /// spacing.
     pub(super) fn warn_of_single_frames(&mut self) {
@@ -139,7 +126,7 @@ impl Core {
             for id in
                 self.frames.ids_of(|_, frame| frame.sequence == index && frame.phase == FramePhase::Held)
             {
-                self.release(&id);
+                self.queue_if_ready(&id);
             }
         }
         // More frames may have arrived in the meantime.

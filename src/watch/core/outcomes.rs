@@ -19,9 +19,11 @@ impl Core {
     pub(super) fn on_finished(&mut self, finished: FrameFinished) {
         let FrameFinished { id, outcome, free_bytes } = finished;
         self.finished_count += 1;
-        let Some(frame) = self.frames.get_mut(&id) else { return };
+        if self.frames.get(&id).is_none() {
+            return;
+        }
         // Until its outcome is handled, the frame counts as queued again; if it was not started, it stays so.
-        frame.phase = FramePhase::Queued;
+        self.set_phase(&id, FramePhase::Queued);
         match outcome {
             Outcome::Converted(report) => self.on_converted(&id, &report),
             Outcome::AlreadyDone { input, record } => self.on_already_done(&id, input, &record),

@@ -27,6 +27,7 @@ use crate::surface::options::{self, Settings, SpacingOptions};
 use crate::watch::config::Watch;
 
 use super::frames::FrameId;
+use super::state::Core;
 
 /// All sequences found so far.
 #[derive(Debug, Default)]
@@ -185,6 +186,21 @@ impl Sequences {
 
     pub(crate) fn get_mut(&mut self, index: usize) -> &mut WatchedSequence {
         &mut self.all[index]
+    }
+}
+
+impl Core {
+    /// The index of the sequence of a file. A sequence that is new is added.
+    pub(super) fn sequence_of(&mut self, id: &FrameId) -> usize {
+        let watch = &self.config.watches[id.root];
+        let remembered = &self.output_folders[self.output_folder_of[id.root]].recorded.sequences;
+        let known_count = self.sequences.len();
+        let file = id.frame_file(&self.roots[id.root].path);
+        let index = self.sequences.index(id, &file, watch, |key| remembered.get(key).cloned());
+        if index == known_count {
+            self.changed_sequences.push(index);
+        }
+        index
     }
 }
 

@@ -46,7 +46,7 @@ impl Core {
             Ok(Some(found)) if found.has_several() => self.update_steps(&id, stamp, found),
             Ok(Some(_)) => {
                 self.forget_steps(&id);
-                self.hold(&id, conflict);
+                self.accept(&id, conflict);
             }
             Err(error) => {
                 self.forget_steps(&id);

@@ -20,9 +20,9 @@ use crate::watch::test_records::done_record;
 
 use super::completeness::{FileHint, Proof, Seen};
 use super::events::{
-    Complete, Effect, Event, FileContents, FrameFinished, Inspect, Inspected, InspectionExtent,
-    InspectionResult, Now, OutputFolderState, OutputRequest, Presence, RootRequest, Scan, SlowRequest, Start,
-    Worker,
+    Complete, Effect, Event, FileContents, FrameFinished, FrameToConvert, Inspect, Inspected,
+    InspectionExtent, InspectionResult, Now, OutputFolderState, OutputRequest, Presence, RootRequest, Scan,
+    SlowRequest, Worker,
 };
 use super::frames::FrameId;
 use super::sequences::{MeasureOrder, SpacingResult};
@@ -117,19 +117,19 @@ impl Rig {
             orders: Vec::new(),
             records: Vec::new(),
         };
-        rig.decide();
+        rig.follow_up();
         rig
     }
 
     /// Sends an event to the core, and answers the resulting requests.
     fn event(&mut self, event: Event) {
         self.core.handle(event, self.now);
-        self.decide();
+        self.follow_up();
     }
 
-    fn decide(&mut self) {
+    fn follow_up(&mut self) {
         loop {
-            self.core.decide(self.now);
+            self.core.follow_up(self.now);
             let effects = self.core.take_effects();
             if effects.is_empty() && (self.holds_inspections || self.inspections.is_empty()) {
                 return;
@@ -139,7 +139,7 @@ impl Rig {
                     Effect::Root(_, RootRequest::Inspect(inspect)) => self.inspections.push(*inspect),
                     Effect::Slow(SlowRequest::Measure(order)) => self.orders.push(*order),
                     Effect::Output(_, OutputRequest::Record(line, _)) => self.records.push(line),
-                    Effect::Start(Start { id, frame, .. }) => self.started.push((id, frame)),
+                    Effect::Convert(FrameToConvert { id, frame, .. }) => self.started.push((id, frame)),
                     Effect::Root(..) | Effect::Slow(..) | Effect::Output(..) | Effect::Log(_) => {}
                 }
             }
@@ -192,7 +192,7 @@ impl Rig {
     fn pass(&mut self, time: Duration) {
         self.now.at += time;
         self.now.unix_ms += u64::try_from(time.as_millis()).expect("soon");
-        self.decide();
+        self.follow_up();
     }
 
     /// Writes a file, and sends an event for it.
@@ -367,7 +367,7 @@ fn result_of_an_earlier_inspection_is_disregarded() {
     rig.event(early);
     assert!(rig.started().is_empty(), "the file is being written again");
     rig.holds_inspections = false;
-    rig.decide();
+    rig.follow_up();
     assert!(rig.started().is_empty());
     rig.files.insert("/in0/a.1.ply".into(), (stamp(2), None));
     rig.pass(SECOND);
@@ -428,7 +428,7 @@ fn closed_file_is_read_again_although_a_scan_finds_it_unchanged_meanwhile() {
     rig.send("/in0/a.1.ply", FileHint::Closed);
     rig.scan(0);
     rig.holds_inspections = false;
-    rig.decide();
+    rig.follow_up();
     assert_eq!(rig.started(), ["a.1.ply"]);
 }
 
@@ -698,7 +698,7 @@ fn run_with_once_is_drained_only_when_all_frames_are_done() {
     rig.scan(0);
     assert!(!rig.core.is_ready() && !rig.core.is_drained());
     rig.holds_inspections = false;
-    rig.decide();
+    rig.follow_up();
     assert!(rig.core.is_ready() && !rig.core.is_drained(), "one is queued");
     rig.want();
     assert!(!rig.core.is_drained(), "one is in progress");

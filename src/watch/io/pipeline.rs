@@ -14,7 +14,7 @@ use crate::pipeline::{
     stream,
 };
 use crate::watch::config::WatchConfig;
-use crate::watch::core::events::{Event, FrameFinished, Start};
+use crate::watch::core::events::{Event, FrameFinished, FrameToConvert};
 use crate::watch::status_store::StatusStore;
 
 use super::mounts::free_bytes;
@@ -35,7 +35,7 @@ pub(crate) struct PipelineContext {
 ///
 /// # Errors
 /// When the system refuses to start a thread.
-pub(crate) fn start(context: PipelineContext) -> io::Result<Sender<Start>> {
+pub(crate) fn start_pipeline(context: PipelineContext) -> io::Result<Sender<FrameToConvert>> {
     let pool = ThreadPoolBuilder::new()
         .num_threads(context.config.threads)
         .thread_name(|index| format!("compute {index}"))
@@ -61,7 +61,7 @@ impl Drop for PipelineEnded {
 
 fn run(
     pool: &rayon::ThreadPool,
-    frames: &Receiver<Start>,
+    frames: &Receiver<FrameToConvert>,
     PipelineContext { config, store, outputs, events }: &PipelineContext,
 ) {
     let mirrors: Vec<PathBuf> = outputs.iter().map(|(_, guard)| guard.folder.clone()).collect();
@@ -79,7 +79,7 @@ fn run(
     let next = || {
         loop {
             events.send(Event::FrameRequested).ok()?;
-            let Start { id, mut frame } = frames.recv().ok()?;
+            let FrameToConvert { id, mut frame } = frames.recv().ok()?;
             let (output, guard) = &outputs[id.root];
             // Checked at the last moment, so that nothing is written if the folder of outputs is not mounted
             // and another folder is in its place.

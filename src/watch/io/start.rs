@@ -53,7 +53,7 @@ impl Drop for Workers {
 ///
 /// # Errors
 /// When a folder of outputs cannot be opened, a pattern is invalid, or the system refuses to start a thread.
-pub(crate) fn start(
+pub(crate) fn start_workers(
     config: &Arc<WatchConfig>,
     store: Option<Arc<StatusStore>>,
     events: &Sender<Event>,
