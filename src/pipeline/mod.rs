@@ -119,7 +119,7 @@ pub use reconstruct::{LoadedFrame, Reconstruction};
 pub use records::content::{SniffedContent, check_existing, content};
 pub use records::figures::Figures;
 pub use records::frame_records::{
-    FrameRecords, OutputComparison, RecordedFrame, RecordedState, ResultState, STATE_FOLDER, SettingValues,
+    FrameRecords, LatestRecords, OutputComparison, RecordedFrame, ResultState, STATE_FOLDER, SettingValues,
     Wanted, settings_id,
 };
 pub use records::picture_file::{camera_of_picture, read_picture};

@@ -263,7 +263,7 @@ fn records(bytes: &[u8]) {
         let after = open();
         assert!(before.done().keys().eq(after.done().keys()));
         assert!(before.never_done().keys().eq(after.never_done().keys()));
-        assert_eq!(before.recorded().sequences, after.recorded().sequences);
+        assert_eq!(before.latest().sequences, after.latest().sequences);
     }
 }
 

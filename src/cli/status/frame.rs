@@ -8,7 +8,7 @@ use crate::cli::CommandOutcome;
 use crate::cli::console::Console;
 use crate::cli::wording::{ago, pluralize, significant};
 use crate::pipeline::{
-    RecordedFrame, RecordedState, UnfinishedState, canonical_path, file_of, natural_order, now_ms, step_of,
+    LatestRecords, RecordedFrame, UnfinishedState, canonical_path, file_of, natural_order, now_ms, step_of,
 };
 
 use super::{FrameStatus, Holder};
@@ -65,7 +65,7 @@ fn known_path(frame: &Path) -> PathBuf {
 }
 
 /// The record of a frame. The watched folder may be a link: then the recorded path is another one.
-fn find_frame<'a>(state: &'a RecordedState, path: &Path) -> Option<(&'a Path, &'a RecordedFrame)> {
+fn find_frame<'a>(state: &'a LatestRecords, path: &Path) -> Option<(&'a Path, &'a RecordedFrame)> {
     let is_meant =
         |input: &Path| input == path || input.file_name() == path.file_name() && known_path(input) == path;
     let exact = state.frames.get_key_value(path);
@@ -74,7 +74,7 @@ fn find_frame<'a>(state: &'a RecordedState, path: &Path) -> Option<(&'a Path, &'
 }
 
 /// The first and the last of the frames that are recorded of this file, if it is one with steps.
-fn steps_of(state: &RecordedState, file: &Path) -> Option<(String, String)> {
+fn steps_of(state: &LatestRecords, file: &Path) -> Option<(String, String)> {
     let steps = state.frames.keys().filter(|input| input.parent() == Some(file));
     let mut steps: Vec<String> = steps.map(|input| input.display().to_string()).collect();
     steps.sort_by(|a, b| natural_order(a, b));

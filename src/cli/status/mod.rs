@@ -15,7 +15,7 @@ use anyhow::{Context, Result, bail};
 use serde::{Serialize, Serializer};
 
 use crate::pipeline::{
-    DaemonState, FileStamp, FrameRecords, RecordedFrame, RecordedState, STATE_FOLDER, UnfinishedRecord,
+    DaemonState, FileStamp, FrameRecords, LatestRecords, RecordedFrame, STATE_FOLDER, UnfinishedRecord,
     UnfinishedState, file_of, is_absent, is_missing_step, natural_order, now_ms,
 };
 use crate::watch::Watch;
@@ -163,7 +163,7 @@ fn folders_of(config: &Path) -> Result<Vec<PathBuf>> {
 fn status_of(output: &Path, console: &mut Console) -> Result<StatusRecord> {
     let state = recorded(output, console)?;
     let holder = Holder::of(output)?;
-    if state == RecordedState::default() && !matches!(holder, Holder::Daemon(_)) {
+    if state == LatestRecords::default() && !matches!(holder, Holder::Daemon(_)) {
         bail!("{}: nothing is recorded here: check --out", output.display());
     }
     Ok(StatusRecord::new(output, &state, holder))
@@ -173,14 +173,14 @@ fn status_of(output: &Path, console: &mut Console) -> Result<StatusRecord> {
 ///
 /// # Errors
 /// If they cannot be read.
-fn recorded(output: &Path, console: &mut Console) -> Result<RecordedState> {
+fn recorded(output: &Path, console: &mut Console) -> Result<LatestRecords> {
     let folder = output.join(STATE_FOLDER);
     let records = FrameRecords::open(output)
         .with_context(|| format!("{}: cannot read the records", folder.display()))?;
     for problem in records.problems() {
         console.warning(format_args!("{problem}: what is recorded there is left out"));
     }
-    Ok(records.recorded())
+    Ok(records.latest())
 }
 
 /// Which process holds the lock of an output folder.
@@ -208,7 +208,7 @@ impl Holder {
 }
 
 impl StatusRecord {
-    fn new(output: &Path, state: &RecordedState, holder: Holder) -> StatusRecord {
+    fn new(output: &Path, state: &LatestRecords, holder: Holder) -> StatusRecord {
         let folder = output.canonicalize().unwrap_or_else(|_| output.to_owned());
         let has_daemon = matches!(holder, Holder::Daemon(_));
         let files = Files::new(state, has_daemon);
@@ -267,7 +267,7 @@ struct Files<'a> {
 }
 
 impl<'a> Files<'a> {
-    fn new(state: &'a RecordedState, has_daemon: bool) -> Files<'a> {
+    fn new(state: &'a LatestRecords, has_daemon: bool) -> Files<'a> {
         let mut recorded = HashSet::new();
         for (input, RecordedFrame { done, unfinished }) in &state.frames {
             let stamps =
@@ -303,7 +303,7 @@ impl<'a> Files<'a> {
 }
 
 impl DaemonStatus {
-    fn new(state: &RecordedState, holder: Holder) -> Option<DaemonStatus> {
+    fn new(state: &LatestRecords, holder: Holder) -> Option<DaemonStatus> {
         let record = state.daemon.as_ref();
         let (running, held_by) = match holder {
             Holder::Daemon(by) => (Some(true), Some(by)),

@@ -16,8 +16,8 @@ fn done(number: u64) -> DoneRecord {
 }
 
 /// The records of 30 finished frames, 25 failed frames, and others.
-fn state() -> RecordedState {
-    let mut state = RecordedState { daemon: Some(daemon(DaemonState::Running)), ..RecordedState::default() };
+fn state() -> LatestRecords {
+    let mut state = LatestRecords { daemon: Some(daemon(DaemonState::Running)), ..LatestRecords::default() };
     for number in 1..=30 {
         state.insert(&RecordLine::Done(done(number).into()));
     }
@@ -39,7 +39,7 @@ fn state() -> RecordedState {
     state
 }
 
-fn record(state: &RecordedState, holder: Holder) -> StatusRecord {
+fn record(state: &LatestRecords, holder: Holder) -> StatusRecord {
     StatusRecord::new(Path::new("/out"), state, holder)
 }
 
@@ -104,12 +104,12 @@ fn running_state_comes_from_the_lock() {
         (Some(DaemonState::Stopped), by(), Some(true), "starting", "starting (pid 13"),
         (None, by(), Some(true), "starting", "starting (pid 13"),
     ] {
-        let state = RecordedState { daemon: state.map(daemon), ..RecordedState::default() };
+        let state = LatestRecords { daemon: state.map(daemon), ..LatestRecords::default() };
         let status = DaemonStatus::new(&state, holder).expect("a daemon");
         assert_eq!((status.running, status.state), (running, word));
         assert!(status.text(65_000).contains(text), "{} does not say {text}", status.text(65_000));
     }
-    assert_eq!(DaemonStatus::new(&RecordedState::default(), Holder::Unlocked), None);
+    assert_eq!(DaemonStatus::new(&LatestRecords::default(), Holder::Unlocked), None);
 }
 
 #[test]

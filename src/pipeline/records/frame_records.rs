@@ -116,9 +116,9 @@ pub struct FrameRecords {
     content: Mutex<KnownRecords>,
 }
 
-/// The last that is known of all frames, of sequences and of the daemon.
+/// The latest records: the last that is known of all frames, of sequences and of the daemon.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct RecordedState {
+pub struct LatestRecords {
     /// The frames, by their inputs.
     pub frames: HashMap<PathBuf, RecordedFrame>,
     /// What the frames of each sequence share.
@@ -136,7 +136,7 @@ pub struct RecordedFrame {
     pub unfinished: Option<Arc<UnfinishedRecord>>,
 }
 
-impl RecordedState {
+impl LatestRecords {
     /// Adds what the latest line says.
     pub fn insert(&mut self, line: &RecordLine) {
         match line {
@@ -521,9 +521,9 @@ impl FrameRecords {
         self.content().own.as_ref().map_or(Ok(()), OwnFile::sync)
     }
 
-    /// The last that is known of everything. If several inputs became outputs of the same name, only the last one
+    /// The latest records of everything. If several inputs became outputs of the same name, only the last one
     /// is done.
-    pub fn recorded(&self) -> RecordedState {
+    pub fn latest(&self) -> LatestRecords {
         let content = self.content();
         let mut frames: HashMap<PathBuf, RecordedFrame> = HashMap::new();
         for done in content.done.values().filter_map(|records| records.last()) {
@@ -538,7 +538,7 @@ impl FrameRecords {
                 frame.unfinished = Some(Arc::clone(unfinished));
             }
         }
-        RecordedState { frames, sequences: content.sequences.clone(), daemon: content.daemon.clone() }
+        LatestRecords { frames, sequences: content.sequences.clone(), daemon: content.daemon.clone() }
     }
 
     /// The records of every frame that was converted, by name; at least one for each, the latest one last.

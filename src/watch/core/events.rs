@@ -143,8 +143,8 @@ pub(crate) struct Inspect {
     /// The stamp of the file at the time of the request.
     pub(crate) stamp: FileStamp,
     pub(crate) extent: InspectionExtent,
-    /// The record of the frame, if the frame is not converted again while this record is valid.
-    pub(crate) recorded: Option<Recorded>,
+    /// Set if the frame is not converted again while this check passes.
+    pub(crate) record_check: Option<RecordCheck>,
     /// The file's candidate state, if it may still be written.
     pub(crate) candidate: Option<Candidate>,
     /// The output files of the frame.
@@ -163,9 +163,10 @@ pub(crate) enum InspectionExtent {
     AllOfJustSeen,
 }
 
-/// A frame that stays as it is while its outputs and obstacles are unchanged.
+/// The check of a frame against its record: while its outputs and obstacles are as recorded, it stays as it
+/// is.
 #[derive(Debug)]
-pub(crate) struct Recorded {
+pub(crate) struct RecordCheck {
     pub(crate) record: RecordedFrame,
     /// Whether the stamps of its obstacles are compared.
     pub(crate) checks_obstacles: bool,

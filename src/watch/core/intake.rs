@@ -28,7 +28,7 @@ use super::completeness::{Candidate, FileHint, Seen, path_of_sentinel};
 use super::decision::reason_by_record;
 use super::events::{
     Complete, FileContents, FoundObstacleStamps, Inspect, Inspected, InspectionExtent, InspectionResult,
-    Recorded, RootRequest, Scan,
+    RecordCheck, RootRequest, Scan,
 };
 use super::frames::{FrameId, FramePhase, FrameState};
 use super::sequences::{SequenceSettings, obstacle_stamp};
@@ -256,14 +256,14 @@ impl Core {
     /// `is_taken` says whether a file is a frame of a root.
     pub(crate) fn claim_recorded(&mut self, is_taken: impl Fn(usize, &Path) -> bool) {
         let mut owners = Vec::new();
-        for (output, OutputFolder { recorded, .. }) in self.output_folders.iter().enumerate() {
+        for (output, OutputFolder { records, .. }) in self.output_folders.iter().enumerate() {
             // Other frames have no outputs yet, or no longer.
             let is_owner = |record: &RecordedFrame| match record.unfinished_state() {
                 Some(UnfinishedState::Refused | UnfinishedState::Failed | UnfinishedState::Ignored) => false,
                 Some(UnfinishedState::Waiting) => record.done.is_some(),
                 _ => true,
             };
-            for (input, record) in recorded.frames.iter().filter(|(_, record)| is_owner(record)) {
+            for (input, record) in records.frames.iter().filter(|(_, record)| is_owner(record)) {
                 let file = step_in(input, true).map(|(file, _)| file);
                 let mut roots = (0..self.roots.len()).filter(|&root| self.output_folder_of[root] == output);
                 let id = roots.find_map(|root| match file {
@@ -322,8 +322,8 @@ impl Core {
             // The completeness of a step is that of its file.
             let candidate = (!id.is_step()).then_some(candidate);
             let outputs = self.output_paths(id);
-            let recorded = self.recorded(id, &stamp, sequence, &outputs);
-            self.request_inspection(id, extent, outputs, candidate, recorded);
+            let record_check = self.record_check(id, &stamp, sequence, &outputs);
+            self.request_inspection(id, extent, outputs, candidate, record_check);
         }
     }
 
@@ -335,7 +335,7 @@ impl Core {
         }
         if let Some(record) = self.record_of(id).filter(|_| self.output_folder(id.root).is_mounted).cloned() {
             // The settings are current, and obstacles are inspected separately.
-            self.inspect(id, Some(Recorded { record, checks_obstacles: false }));
+            self.inspect(id, Some(RecordCheck { record, checks_obstacles: false }));
         }
     }
 
@@ -357,9 +357,9 @@ impl Core {
 
     /// Inspects a file that is known to be complete: first its outputs and its record, then its stamp, then its kind
     /// and conflicts.
-    pub(super) fn inspect(&mut self, id: &FrameId, recorded: Option<Recorded>) {
+    pub(super) fn inspect(&mut self, id: &FrameId, record_check: Option<RecordCheck>) {
         let outputs = self.output_paths(id);
-        self.request_inspection(id, InspectionExtent::All, outputs, None, recorded);
+        self.request_inspection(id, InspectionExtent::All, outputs, None, record_check);
     }
 
     fn request_inspection(
@@ -368,22 +368,22 @@ impl Core {
         extent: InspectionExtent,
         outputs: Vec<PathBuf>,
         candidate: Option<Candidate>,
-        recorded: Option<Recorded>,
+        record_check: Option<RecordCheck>,
     ) {
         let Some((number, stamp)) = self.frames.begin_inspection(id) else { return };
-        let inspect = Inspect { id: id.clone(), number, stamp, extent, recorded, candidate, outputs };
+        let inspect = Inspect { id: id.clone(), number, stamp, extent, record_check, candidate, outputs };
         self.request(id.root, RootRequest::Inspect(Box::new(inspect)));
     }
 
-    /// The record of this file, if it shows that the frame needs no conversion while its outputs and
-    /// obstacles are unchanged.
-    fn recorded(
+    /// The check of a frame against its record, if the record shows that the frame needs no conversion while
+    /// its outputs and obstacles are unchanged.
+    fn record_check(
         &self,
         id: &FrameId,
         stamp: &FileStamp,
         sequence: usize,
         wanted: &[PathBuf],
-    ) -> Option<Recorded> {
+    ) -> Option<RecordCheck> {
         let record = self.record_of(id)?.clone();
         // The record may be of the same file in another root, with outputs in another folder.
         let paths: Vec<PathBuf> =
@@ -392,7 +392,7 @@ impl Core {
         let has_settings = |record: &RecordedFrame| self.has_settings_of(id, sequence, record);
         let reason = reason_by_record(Some(&record), stamp, has_settings, unrecorded);
         let checks_obstacles = !self.roots[id.root].obstacles.is_empty();
-        reason.is_none().then_some(Recorded { record, checks_obstacles })
+        reason.is_none().then_some(RecordCheck { record, checks_obstacles })
     }
 
     /// Whether a frame was recorded with the settings of its sequence, apart from its obstacles.
@@ -731,7 +731,7 @@ impl Core {
 
     /// The record of a frame, if it has one.
     pub(super) fn record_of(&self, id: &FrameId) -> Option<&RecordedFrame> {
-        self.output_folder(id.root).recorded.frames.get(&*id.path)
+        self.output_folder(id.root).records.frames.get(&*id.path)
     }
 
     /// The paths of recorded outputs.

@@ -78,7 +78,7 @@ impl Core {
         let files: Vec<(FrameId, FileStamp)> =
             members.into_iter().map_while(|(id, stamp)| Some((id.clone(), stamp?))).collect();
         let watch = self.config.watches[sequence.root].clone();
-        let remembered = self.output_folder(sequence.root).recorded.sequences.get(&sequence.key).cloned();
+        let remembered = self.output_folder(sequence.root).records.sequences.get(&sequence.key).cloned();
         let given = (!watch.needs_measuring()).then(SharedSettings::default);
         let (options, known) = (options.clone(), given.or(remembered));
         (!files.is_empty()).then_some(MeasureOrder { sequence: index, files, options, known, watch })
@@ -114,7 +114,7 @@ impl Core {
         }
         if let Some(record) = record {
             let key = self.sequences.get(index).key.clone();
-            let known = self.output_folder(root).recorded.sequences.get(&key);
+            let known = self.output_folder(root).records.sequences.get(&key);
             let has_spacing = self.config.watches[root].choices.spacing.is_some();
             let headline = headline_of(has_spacing, &record, known);
             let log = self.log_of_settings(index, headline, warnings);
@@ -138,7 +138,7 @@ impl Core {
         let sequence = self.sequences.get(index);
         let Some(framed) = sequence.framing.as_ref().map(|framing| framing.framed()) else { return };
         let (root, key) = (sequence.root, sequence.key.clone());
-        let Some(mut record) = self.output_folder(root).recorded.sequences.get(&key).cloned() else { return };
+        let Some(mut record) = self.output_folder(root).records.sequences.get(&key).cloned() else { return };
         let Some(camera) = record.camera.as_mut().filter(|camera| camera.framed != framed) else { return };
         camera.framed = framed;
         let path = key.folder.join(&key.name);
@@ -154,7 +154,7 @@ impl Core {
         // The latest record counts, also if the clock was set back.
         let after = self
             .output_folder(root)
-            .recorded
+            .records
             .sequences
             .get(&key)
             .map_or(0, |known| known.at_ms.saturating_add(1));

@@ -104,7 +104,7 @@ impl Core {
         let name = self.shown_name(sequence.root, self.root_path(sequence.root), &path);
         let watch = self.watch(sequence.root);
         let made = (&watch.outputs, &*self.roots[sequence.root].obstacles);
-        let remembered = self.output_folder(sequence.root).recorded.sequences.get(&sequence.key);
+        let remembered = self.output_folder(sequence.root).records.sequences.get(&sequence.key);
         let measured = remembered.filter(|_| watch.needs_measuring());
         let measured = measured.and_then(|record| record.measured.as_ref());
         let record = SequenceRecord::new(&name, &watch.job(), settings, (&watch.choices, measured), made);

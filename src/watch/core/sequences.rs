@@ -193,7 +193,7 @@ impl Core {
     /// The index of the sequence of a file. A sequence that is new is added.
     pub(super) fn sequence_of(&mut self, id: &FrameId) -> usize {
         let watch = &self.config.watches[id.root];
-        let remembered = &self.output_folders[self.output_folder_of[id.root]].recorded.sequences;
+        let remembered = &self.output_folders[self.output_folder_of[id.root]].records.sequences;
         let known_count = self.sequences.len();
         let file = id.frame_file(&self.roots[id.root].path);
         let index = self.sequences.index(id, &file, watch, |key| remembered.get(key).cloned());

@@ -5,7 +5,7 @@ use std::path::{self, Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::pipeline::{DaemonRecord, DaemonState, ObstacleFiles, OutputOptions, RecordLine, RecordedState};
+use crate::pipeline::{DaemonRecord, DaemonState, LatestRecords, ObstacleFiles, OutputOptions, RecordLine};
 use crate::watch::config::{Watch, WatchConfig};
 use crate::watch::status_store::Counters;
 
@@ -78,7 +78,7 @@ pub(crate) struct RootState {
 pub(crate) struct OutputFolder {
     /// The absolute path.
     pub(super) folder: PathBuf,
-    pub(super) recorded: RecordedState,
+    pub(super) records: LatestRecords,
     pub(super) is_mounted: bool,
     pub(super) free_bytes: Option<u64>,
     /// Whether its worker does not respond.
@@ -101,12 +101,12 @@ pub(crate) const STALL_AFTER: Duration = Duration::from_secs(5);
 
 impl Core {
     /// The initial state. `roots` are the absolute paths of the watched folders, and `output_folders` those
-    /// of the outputs with what is recorded there.
+    /// of the outputs with the latest records there.
     pub(crate) fn new(
         config: Arc<WatchConfig>,
         identity: DaemonRecord,
         roots: Vec<(PathBuf, Arc<ObstacleFiles>)>,
-        output_folders: Vec<(PathBuf, RecordedState)>,
+        output_folders: Vec<(PathBuf, LatestRecords)>,
         output_folder_of: Vec<usize>,
         now: Now,
     ) -> Core {
@@ -118,9 +118,9 @@ impl Core {
             was_scanned: false,
             unreadable: BTreeMap::new(),
         };
-        let new_output = |(folder, recorded)| OutputFolder {
+        let new_output = |(folder, records)| OutputFolder {
             folder,
-            recorded,
+            records,
             is_mounted: true,
             free_bytes: None,
             has_stalled: false,
@@ -213,7 +213,7 @@ impl Core {
 
     /// Keeps a record, and requests that it be written. `log` is written after the record.
     pub(super) fn record(&mut self, output: usize, line: RecordLine, log: Option<Log>) {
-        self.output_folders[output].recorded.insert(&line);
+        self.output_folders[output].records.insert(&line);
         self.effects.push(Effect::Output(output, OutputRequest::Record(line, log)));
     }
 

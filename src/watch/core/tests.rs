@@ -10,7 +10,7 @@ use meniscus_formats::Error;
 
 use crate::pipeline::{
     ChangedOutput, DaemonRecord, DaemonState, DoneRecord, FileStamp, Frame, FrameError, FrameReport,
-    InputState, MeasuredSpacing, Outcome, OutputFormat, OutputOptions, Reason, RecordLine, RecordedState,
+    InputState, LatestRecords, MeasuredSpacing, Outcome, OutputFormat, OutputOptions, Reason, RecordLine,
     SharedSettings, Stage, UnfinishedRecord, UnfinishedState,
 };
 use crate::surface::options::{MethodOptions, Preset};
@@ -78,10 +78,10 @@ fn config(root_count: usize, choices: &MethodOptions) -> WatchConfig {
 impl Rig {
     /// Roots `/in0` and so on with outputs in `/out0` and so on, with known settings, and one pipeline.
     fn new(root_count: usize) -> Rig {
-        Rig::with(config(root_count, &measured()), RecordedState::default())
+        Rig::with(config(root_count, &measured()), LatestRecords::default())
     }
 
-    fn with(config: WatchConfig, recorded: RecordedState) -> Rig {
+    fn with(config: WatchConfig, latest: LatestRecords) -> Rig {
         let now = Now { at: Instant::now(), unix_ms: 1000 };
         let count = config.watches.len();
         let identity = DaemonRecord {
@@ -101,7 +101,7 @@ impl Rig {
             }
             output_folder_of.extend(folders.iter().position(|known| known == folder));
         }
-        let outputs = folders.into_iter().map(|folder| (folder, recorded.clone())).collect();
+        let outputs = folders.into_iter().map(|folder| (folder, latest.clone())).collect();
         let mut core = Core::new(Arc::new(config), identity, roots, outputs, output_folder_of, now);
         core.claim_recorded(|root, path| path.starts_with(format!("/in{root}")));
         core.start();
@@ -168,9 +168,9 @@ impl Rig {
 
     fn found(&self, inspect: &Inspect, waits: Option<Reason>) -> InspectionResult {
         let mut changed_output = None;
-        if let Some(recorded) = &inspect.recorded {
+        if let Some(check) = &inspect.record_check {
             let folder = &self.core.output_folder(inspect.id.root).folder;
-            let outputs = recorded.record.if_done().into_iter().flat_map(|done| done.output_paths(folder));
+            let outputs = check.record.if_done().into_iter().flat_map(|done| done.output_paths(folder));
             match outputs.into_iter().find(|path| !self.outputs.contains(path)) {
                 None => return InspectionResult::AsRecorded,
                 Some(path) => changed_output = Some(ChangedOutput { path, is_missing: true }),
@@ -577,15 +577,15 @@ fn outputs_claimed_twice_belong_to_the_first_frame_until_it_is_removed() {
 fn recorded_owner_keeps_its_outputs_whichever_folder_is_scanned_first() {
     let mut config = config(2, &measured());
     config.watches[1].outputs.folder = "/out0".into();
-    let mut before = Rig::with(config.clone(), RecordedState::default());
+    let mut before = Rig::with(config.clone(), LatestRecords::default());
     before.want();
     before.put("/in1/a.1.ply", 1);
     before.convert("/in1/a.1.ply");
-    let mut recorded = RecordedState::default();
-    before.records.iter().for_each(|line| recorded.insert(line));
+    let mut latest = LatestRecords::default();
+    before.records.iter().for_each(|line| latest.insert(line));
 
     let restart = |files: &[&str]| {
-        let mut rig = Rig::with(config.clone(), recorded.clone());
+        let mut rig = Rig::with(config.clone(), latest.clone());
         rig.outputs.clone_from(&before.outputs);
         rig.files.extend(files.iter().map(|file| (PathBuf::from(file), (stamp(1), None))));
         rig.want();
@@ -640,23 +640,23 @@ fn refused_frame_is_checked_at_each_scan() {
     assert!(refused.is_empty(), "{refused:?}");
 }
 
-/// What is recorded of one frame that was converted, and then was in this state.
-fn recorded(state: Option<UnfinishedState>) -> RecordedState {
+/// The records of one frame that was converted, and then was in this state.
+fn latest_records(state: Option<UnfinishedState>) -> LatestRecords {
     let mut rig = Rig::new(1);
     rig.want();
     rig.put("/in0/a.1.ply", 1);
     rig.convert("/in0/a.1.ply");
-    let mut recorded = RecordedState::default();
-    rig.records.iter().for_each(|line| recorded.insert(line));
+    let mut latest = LatestRecords::default();
+    rig.records.iter().for_each(|line| latest.insert(line));
     let queued = rig.records.iter().find_map(|line| match line {
         RecordLine::Unfinished(record) => Some(UnfinishedRecord::clone(record)),
         _ => None,
     });
     if let Some(state) = state {
         let record = UnfinishedRecord { state, ..queued.expect("it was queued") };
-        recorded.insert(&RecordLine::Unfinished(record.into()));
+        latest.insert(&RecordLine::Unfinished(record.into()));
     }
-    recorded
+    latest
 }
 
 #[test]
@@ -670,7 +670,7 @@ fn after_a_restart_only_unfinished_frames_are_converted() {
         (Some(UnfinishedState::AwaitsRestart), true, 1),
         (Some(UnfinishedState::Refused), true, 1),
     ] {
-        let mut rig = Rig::with(config(1, &measured()), recorded(state));
+        let mut rig = Rig::with(config(1, &measured()), latest_records(state));
         rig.want();
         rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
         if has_output {
@@ -682,7 +682,7 @@ fn after_a_restart_only_unfinished_frames_are_converted() {
     }
     // With other settings, the frame is converted again.
     let other = MethodOptions { spacing: Some(0.2), ..MethodOptions::default() };
-    let mut rig = Rig::with(config(1, &other), recorded(None));
+    let mut rig = Rig::with(config(1, &other), latest_records(None));
     rig.outputs.insert("/out0/a.1.glb".into());
     rig.want();
     rig.put("/in0/a.1.ply", 1);
@@ -691,7 +691,7 @@ fn after_a_restart_only_unfinished_frames_are_converted() {
 
 #[test]
 fn run_with_once_is_drained_only_when_all_frames_are_done() {
-    let mut rig = Rig::with(WatchConfig { once: true, ..config(1, &measured()) }, RecordedState::default());
+    let mut rig = Rig::with(WatchConfig { once: true, ..config(1, &measured()) }, LatestRecords::default());
     assert!(!rig.core.is_drained(), "nothing was scanned yet");
     rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
     rig.holds_inspections = true;
@@ -708,7 +708,7 @@ fn run_with_once_is_drained_only_when_all_frames_are_done() {
 
 #[test]
 fn run_with_once_fails_if_a_folder_hangs() {
-    let mut rig = Rig::with(WatchConfig { once: true, ..config(2, &measured()) }, RecordedState::default());
+    let mut rig = Rig::with(WatchConfig { once: true, ..config(2, &measured()) }, LatestRecords::default());
     rig.want();
     rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
     rig.scan(0);
@@ -807,7 +807,7 @@ fn waiting_file_that_is_no_frame_is_recorded_as_ignored() {
 
 #[test]
 fn sequence_is_measured_when_all_its_frames_were_inspected() {
-    let mut rig = Rig::with(config(1, &MethodOptions::default()), RecordedState::default());
+    let mut rig = Rig::with(config(1, &MethodOptions::default()), LatestRecords::default());
     rig.want();
     rig.files.extend((1..=3).map(|number| (format!("/in0/a.{number}.ply").into(), (stamp(1), None))));
     rig.holds_inspections = true;

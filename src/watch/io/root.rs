@@ -26,7 +26,7 @@ use crate::watch::core::completeness::{
 };
 use crate::watch::core::events::{
     Complete, Event, FileContents, FoundObstacleStamps, Inspect, Inspected, InspectionExtent,
-    InspectionResult, Recorded, RootRequest, Scan,
+    InspectionResult, RecordCheck, RootRequest, Scan,
 };
 use crate::watch::core::frames::FrameId;
 use crate::watch::core::sequences::obstacle_stamp;
@@ -422,10 +422,10 @@ impl Root {
     }
 
     fn examine(&self, request: &Inspect, obstacles: Option<&ObstacleStamps>) -> InspectionResult {
-        let Inspect { id, stamp, outputs, extent, recorded, .. } = request;
-        let changed_output = recorded.as_ref().and_then(|recorded| self.changed_output_of(recorded));
-        let has_obstacles = |recorded: &Recorded| has_recorded_obstacles(recorded, obstacles);
-        let is_as_recorded = changed_output.is_none() && recorded.as_ref().is_some_and(has_obstacles);
+        let Inspect { id, stamp, outputs, extent, record_check, .. } = request;
+        let changed_output = record_check.as_ref().and_then(|check| self.changed_output_of(check));
+        let has_obstacles = |check: &RecordCheck| has_recorded_obstacles(check, obstacles);
+        let is_as_recorded = changed_output.is_none() && record_check.as_ref().is_some_and(has_obstacles);
         if is_as_recorded && *extent == InspectionExtent::AllOfJustSeen {
             return InspectionResult::AsRecorded;
         }
@@ -471,8 +471,8 @@ impl Root {
     }
 
     /// The first recorded output that has changed.
-    fn changed_output_of(&self, recorded: &Recorded) -> Option<ChangedOutput> {
-        recorded.record.if_done()?.changed_output(&self.output.folder)
+    fn changed_output_of(&self, check: &RecordCheck) -> Option<ChangedOutput> {
+        check.record.if_done()?.changed_output(&self.output.folder)
     }
 
     /// Why these outputs must not be written: one would replace particles, a mesh or a level set of
@@ -503,8 +503,8 @@ fn replacement(output: &Path) -> String {
     Conflict::ReplacesData { output: output.to_owned(), other_count: 0 }.to_string()
 }
 
-fn has_recorded_obstacles(recorded: &Recorded, obstacles: Option<&ObstacleStamps>) -> bool {
-    !recorded.checks_obstacles || recorded.record.obstacle_stamp() == obstacles.map(obstacle_stamp).as_ref()
+fn has_recorded_obstacles(check: &RecordCheck, obstacles: Option<&ObstacleStamps>) -> bool {
+    !check.checks_obstacles || check.record.obstacle_stamp() == obstacles.map(obstacle_stamp).as_ref()
 }
 
 fn contents_of(id: &FrameId) -> FileContents {

@@ -70,14 +70,14 @@ pub(crate) fn start_workers(
         let filter = FileFilter::new(watch.pattern.as_deref(), output_folders.clone());
         inputs.push((path, filter.map_err(DaemonError::Pattern)?));
     }
-    let recorded = guards.iter().map(|guard| (guard.folder.clone(), guard.records.recorded()));
+    let records = guards.iter().map(|guard| (guard.folder.clone(), guard.records.latest()));
     let roots =
         inputs.iter().zip(&obstacles).map(|((path, _), obstacles)| (path.clone(), Arc::clone(obstacles)));
     let mut core = Core::new(
         Arc::clone(config),
         identity(),
         roots.collect(),
-        recorded.collect(),
+        records.collect(),
         output_folder_of.clone(),
         now(),
     );

@@ -100,7 +100,7 @@ impl FolderUsdStages {
             return;
         }
         let mut must_retry = false;
-        let frames = records.recorded().frames;
+        let frames = records.latest().frames;
         for stage in &mut self.stages {
             must_retry |= !stage.write(&frames);
         }

@@ -117,12 +117,12 @@ fn new_records_count_even_if_the_clock_was_set_back() {
     records.add_failure(Path::new("a"), input, "torn").expect("recorded");
     for records in [&records, &FrameRecords::open(folder.path()).expect("opened")] {
         assert_eq!(state(records, "a", "0.2", 7), ResultState::Done);
-        assert_eq!(records.recorded().frames[input].unfinished_state(), Some(UnfinishedState::Failed));
+        assert_eq!(records.latest().frames[input].unfinished_state(), Some(UnfinishedState::Failed));
     }
     convert(&records, "a", "newer", "0.2");
     for records in [&records, &FrameRecords::open(folder.path()).expect("opened")] {
         assert_eq!(state(records, "a", "0.2", 7), ResultState::Done);
-        assert!(records.recorded().frames[input].if_done().is_some());
+        assert!(records.latest().frames[input].if_done().is_some());
     }
 }
 
@@ -293,7 +293,7 @@ fn latest_lines_count_and_come_back_as_they_were() {
     let open = || FrameRecords::open(folder.path()).expect("opened");
     // Two processes at the same time.
     let [one, other] = [open(), open()];
-    let mut expected = RecordedState::default();
+    let mut expected = LatestRecords::default();
     let spacings = [0.1, 1.0 / 3.0, 1e-300, f64::MIN_POSITIVE / 3.0, f64::MAX, 2.5e-8_f64.next_up()];
     for (index, spacing) in spacings.into_iter().enumerate() {
         let name = format!("dam{index}.{{}}.ply");
@@ -313,9 +313,9 @@ fn latest_lines_count_and_come_back_as_they_were() {
     for records in [&one, &other] {
         records.write_kept().expect("written");
     }
-    assert_eq!(open().recorded(), expected);
+    assert_eq!(open().latest(), expected);
     drop((one, other));
-    assert_eq!(open().recorded(), expected);
+    assert_eq!(open().latest(), expected);
 }
 
 #[test]
@@ -324,7 +324,7 @@ fn converted_frame_is_unfinished_only_by_a_later_record() {
     let records = FrameRecords::open(folder.path()).expect("opened");
     records.keep(unfinished("a", UnfinishedState::Queued, now_ms()));
     convert(&records, "a", "mesh", "0.1");
-    let frame = |records: &FrameRecords| records.recorded().frames[Path::new("/in/a.ply")].clone();
+    let frame = |records: &FrameRecords| records.latest().frames[Path::new("/in/a.ply")].clone();
     for records in [&records, &FrameRecords::open(folder.path()).expect("opened")] {
         assert!(frame(records).if_done().is_some());
     }
@@ -348,15 +348,15 @@ fn lines_that_cannot_be_written_are_written_later() {
         records.keep(unfinished(name, UnfinishedState::Queued, at_ms));
         assert!(is_disk_full(&records.write_kept().expect_err("full")));
     }
-    assert_eq!(records.recorded().frames.len(), 3);
-    assert_eq!(FrameRecords::open(folder.path()).expect("opened").recorded().frames.len(), 1);
+    assert_eq!(records.latest().frames.len(), 3);
+    assert_eq!(FrameRecords::open(folder.path()).expect("opened").latest().frames.len(), 1);
     records.content().own.as_mut().expect("open").free_space(path);
     records.sync().expect("written");
     let files = record_files(&folder.path().join(STATE_FOLDER)).expect("read");
     let [file] = &files[..] else { panic!("{files:?}") };
     let text = fs::read_to_string(file).expect("text");
     assert_eq!(text.lines().filter(|line| line.contains("unfinished")).count(), 2, "{text}");
-    assert_eq!(FrameRecords::open(folder.path()).expect("opened").recorded(), records.recorded());
+    assert_eq!(FrameRecords::open(folder.path()).expect("opened").latest(), records.latest());
 }
 
 /// A file of another machine, whose locks may not reach this one, and one that cannot be read.
