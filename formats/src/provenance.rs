@@ -1,19 +1,13 @@
 //! Writes provenance (the settings and inputs a file was made with) into files, and reads it back.
 //!
-//! Every format can store names and values that other programs keep or skip:
+//! Every format can store names and values that other programs keep or skip. The module of the format decides
+//! where, for example:
 //!
 //! ```text
-//!   .vdb          metadata of the grid     meniscus_radius = 0.025
-//!   .glb .gltf    asset.extras             {"meniscus": {"radius": "0.025"}}
-//!   .obj          comment                  # meniscus_radius: 0.025
-//!   .ply          comment                  comment meniscus_radius: 0.025
-//!   .vtp          a string of the field data  meniscus_radius: 48 46 48 50 53 0
-//!   .stl          title                i=9f3c…, and further entries up to 80 bytes
-//!   .usda         customLayerData      dictionary meniscus = { string radius = "0.025" }
-//!   .usdc         the same, and a text     # meniscus_radius: 0.025
-//!   .abc          metadata             meniscus_radius=0.025;
-//!   .png          text                     meniscus_radius\0 0.025
-//!   .exr          attribute of the file    meniscus = "meniscus_radius: 0.025 …"
+//!   .vdb    metadata of the grid    meniscus_radius = 0.025
+//!   .glb    asset.extras            {"meniscus": {"radius": "0.025"}}
+//!   .ply    comment                 comment meniscus_radius: 0.025
+//!   .stl    title                   i=9f3c…, and further entries up to 80 bytes
 //! ```
 //!
 //! Comments are single lines of ASCII, because readers of these formats disagree about anything else. All

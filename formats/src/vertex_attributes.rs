@@ -1,23 +1,7 @@
 //! Where files store vertex attributes, and under which names.
 //!
 //! Formats differ in the attributes that they can store. Each writer decides where an attribute goes, and
-//! adds a note for each attribute that it cannot store exactly:
-//!
-//! ```text
-//!            velocity    colour            other numbers      integers               strings
-//!   .glb     _VELOCITY   COLOR_0           _NAME, up to 4     floats, if exact       index, table in extras
-//!   .ply     vx vy vz    red green blue    name, name_x ..    int, or double         index, table in comments
-//!   .obj     –           v x y z r g b     –                  –                      –
-//!   .vtp     its name    its name          its name           32 or 64 bits          index, table in field data
-//!   .usda/c  velocities  displayColor      primvars:name, up to 4 int, or int64          indexed primvars
-//!   .abc     .velocities its name          its name               32 or 64 bits          indexed
-//!   .stl     –           –                 –                      –                      –
-//!   .vdb     velocity    a vector grid     1 or 3 a voxel     –                      –
-//! ```
-//!
-//! Accelerations are `accelerations` in USD and `_ACCELERATION` in glTF; elsewhere they are other numbers.
-//! A dash means that the format cannot store the attribute. `its name` is the name of the attribute itself,
-//! and `up to 4` and `1 or 3` are numbers of components.
+//! adds a note for each attribute that it cannot store exactly. `docs/method.md` has the table.
 //!
 //! Writers store colours exactly as the particles have them, without a transfer curve. glTF defines colours
 //! as linear. The colours of simulations are linear as well, so they look right.

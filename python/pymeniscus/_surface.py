@@ -303,8 +303,8 @@ class Surface:
         path : path-like
             The file. Its folder must exist.
         format : str, optional
-            The format; by default the extension of `path`: ``glb``, ``gltf``, ``vdb``, ``obj``, ``ply``,
-            ``vtp``, ``stl``, ``usda``, ``usdc``, ``abc``, ``png`` or ``exr``.
+            The extension of a format that meniscus writes, such as ``glb``, ``vdb`` or ``png``; by default
+            that of `path`. The error about an unknown one lists all.
         source : path-like or Particles, optional
             The file that the particles came from; the output records its name and hash. By default, the file
             that `read` read the `Particles` from.
