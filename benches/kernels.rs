@@ -36,7 +36,7 @@ use glam::{IVec3, Vec3};
 use meniscus::surface::grid::{Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, Topology, voxel_in_leaf};
 use meniscus::surface::level_set::{Bounds, NarrowBand, Sweeps, UNREACHED, extend};
 use meniscus::surface::simd::{self, Kernel, LEVEL_VARIABLE, Lanes, SimdLevel};
-use meniscus::surface::smooth::{Integrator, SmoothConfig, SmoothContext, SmoothOp, Workspace};
+use meniscus::surface::smooth::{SmoothConfig, SmoothContext, SmoothOp, SmoothSteps, Workspace};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// Radii of the shells, in voxels. Their passes stream 1, 14 and 200 MB: these sizes fit into a core's own
@@ -291,16 +291,8 @@ fn leaf_of_sphere(origin: IVec3, radius: f32) -> Leaf {
 
 /// Updates of free voxels per second, over all threads: passes times free voxels.
 fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
-    let config = SmoothConfig {
-        redistances_first: false,
-        laplacian_steps: 0,
-        integrator: Integrator::Fast,
-        steps: 1,
-        step_size: 20.0,
-        redistance_every: 1,
-        pin_isolated_spheres: false,
-        distances_voxels: 0.0,
-    };
+    let steps = SmoothSteps { steps: 1, step_size: 20.0, ..SmoothSteps::default() };
+    let config = SmoothConfig { steps, ..SmoothConfig::default() };
     let mut band = shell.band.clone();
     let mut memory = Workspace::new(shell.leaf_count());
     let mut op = |count: u32| {

@@ -92,7 +92,7 @@ fn combine(frames: &[PathBuf], folder: &Path) -> Run {
     let measure = Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/one_process.py");
     let mut command = Command::new("python3");
     command.args(["-I", "-S"]).arg(measure).arg(env!("CARGO_BIN_EXE_meniscus"));
-    command.arg("sequence").args(frames).arg("--output").arg(&shot);
+    command.arg("sequence").args(frames).arg("--out").arg(&shot);
     let output = command.output().expect("python3");
     // [seconds, CPU seconds, peak memory in bytes, exit status]
     let text = String::from_utf8(output.stdout).expect("text");

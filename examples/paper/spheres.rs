@@ -18,7 +18,8 @@ use meniscus::surface::level_set::{Bounds, NarrowBand};
 use meniscus::surface::mesh::MeshMeasures;
 use meniscus::surface::options::Contouring;
 use meniscus::surface::smooth::{
-    Integrator, SmoothConfig, SmoothContext, SmoothOp, Workspace, schedule, smooth, smooth_laplacian_only,
+    Integrator, SmoothConfig, SmoothContext, SmoothOp, SmoothSteps, Workspace, schedule, smooth,
+    smooth_laplacian_only,
 };
 use meniscus::surface::space::Lattice;
 
@@ -108,16 +109,14 @@ fn distances(files: &Files) -> Outcome<()> {
 }
 
 fn explicit(steps: u32) -> SmoothConfig {
-    SmoothConfig {
-        redistances_first: false,
-        laplacian_steps: 0,
+    let steps = SmoothSteps {
         integrator: Integrator::Explicit,
         steps,
         step_size: 0.01,
         redistance_every: 50,
-        pin_isolated_spheres: false,
-        distances_voxels: 0.0,
-    }
+        ..SmoothSteps::default()
+    };
+    SmoothConfig { steps, ..SmoothConfig::default() }
 }
 
 /// The noisy sphere and its bounds; `field` changes the field, given the distance and the position.

@@ -403,12 +403,12 @@ fn work_gib(plan: &MemoryPlan) -> f64 {
 
 /// The approximate time of an integrator, relative to the default one.
 fn integrator_factor(settings: &Settings) -> f64 {
-    match settings.integrator {
+    match settings.smoothing.integrator {
         Integrator::Fast => 1.0,
         Integrator::Implicit => 3.0,
         // An explicit step applies the operator once; the default integrator applies it some dozens of times
         // in all.
-        Integrator::Explicit | Integrator::Adaptive => (f64::from(settings.steps) / 40.0).max(1.0),
+        Integrator::Explicit | Integrator::Adaptive => (f64::from(settings.smoothing.steps) / 40.0).max(1.0),
     }
 }
 

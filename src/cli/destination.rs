@@ -10,6 +10,7 @@
 //! standard output is written to a temporary folder first, so that an error never leaves half a mesh in the
 //! pipe.
 
+use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{self, IsTerminal, Read, Write};
 use std::path::{Path, PathBuf};
@@ -192,17 +193,22 @@ pub(super) fn refuse_file_name(out: &Path) -> Result<()> {
 /// # Errors
 /// If the path ends in a dot and letters, and is not a folder. The message says what to write instead.
 fn refuse_other_extension(out: &Path) -> Result<()> {
-    let Some(extension) = out.extension().and_then(|extension| extension.to_str()) else { return Ok(()) };
-    if is_existing_or_named_folder(out) || !extension.bytes().all(|byte| byte.is_ascii_alphabetic()) {
+    if !names_file(out) {
         return Ok(());
     }
-    let name = out.display();
+    let (name, extension) = (out.display(), out.extension().unwrap_or_default().display());
     let written = OutputFormat::ALL.into_iter().filter(|format| !format.is_picture());
     let written = listed(written.map(|format| format!(".{format}")).collect(), "or");
     bail!(
         "{name}: .{extension} is not an output format: use {written}; for a folder of this name, write {name}/ \
          or create it first"
     )
+}
+
+/// Whether a path ends in a dot and letters, and is not a folder.
+pub(super) fn names_file(out: &Path) -> bool {
+    let is_alphabetic = |extension: &str| extension.bytes().all(|byte| byte.is_ascii_alphabetic());
+    out.extension().and_then(OsStr::to_str).is_some_and(is_alphabetic) && !is_existing_or_named_folder(out)
 }
 
 fn is_stdout(out: &Path) -> bool {

@@ -18,7 +18,7 @@ use crate::surface::options::Settings;
 
 use super::args::RenderArgs;
 use super::console::Console;
-use super::destination::{OutFolder, write_file};
+use super::destination::{OutFolder, names_file, write_file};
 use super::inputs::{SelectedSequence, selected_files, selected_of};
 use super::machine::thread_pool;
 use super::render_session::{
@@ -61,22 +61,24 @@ struct RequestedPictures<'a> {
     args: &'a RenderArgs,
     session: RenderSession<'a>,
     format: OutputFormat,
-    /// The name of the picture of the only frame, if `--output` gives one.
+    /// The name of the picture of the only frame, if `--out` gives one.
     stem: Option<String>,
 }
 
 impl<'a> RequestedPictures<'a> {
     fn new(args: &'a RenderArgs, sequences: &[SelectedSequence]) -> Result<RequestedPictures<'a>> {
-        let (folder, stem, format) = match (&args.output, &args.out) {
-            (Some(file), _) => {
-                let (folder, stem, extension) = named_picture(file, &["png", "exr"])?;
-                let format = OutputFormat::from_extension(extension).unwrap_or(OutputFormat::Png);
-                (folder, Some(stem), format)
+        let (folder, stem, format) = if names_file(&args.out) {
+            let (folder, stem, extension) = named_picture(&args.out, &["png", "exr"])?;
+            let format = OutputFormat::from_extension(extension).unwrap_or(OutputFormat::Png);
+            if args.format.is_some_and(|other| other != format) {
+                bail!(
+                    "{}: --format asks for other files than .{extension}: leave --format out, or name a folder",
+                    args.out.display()
+                );
             }
-            (None, Some(folder)) => (folder.clone(), None, args.format.unwrap_or(OutputFormat::Png)),
-            (None, None) => {
-                bail!("give -o FILE for one picture, or --out DIR for the pictures of several frames")
-            }
+            (folder, Some(stem), format)
+        } else {
+            (args.out.clone(), None, args.format.unwrap_or(OutputFormat::Png))
         };
         let session = RenderSession::new(&args.pictures, folder, format, args.size)?;
         let shots = RequestedPictures { args, session, format, stem };
@@ -87,7 +89,7 @@ impl<'a> RequestedPictures<'a> {
     fn check(&self, sequences: &[SelectedSequence]) -> Result<()> {
         let count = selected_files(sequences).count();
         if count > 1 && self.stem.is_some() {
-            bail!("-o names one picture, but there are {count} frames: give a folder with --out");
+            bail!("--out names one picture, but there are {count} frames: name a folder");
         }
         let mut files = sequences.iter().flat_map(|selected| &selected.sequence.frames);
         if files.clone().all(|file| surface_name(&file.path).is_some()) {

@@ -22,14 +22,14 @@ use super::wording::{counted_are, pluralize};
 /// # Errors
 /// If no sequence file can be made.
 pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<CommandOutcome> {
-    let format = format_of(&args.output)?;
-    check_output_path("the sequence file", &args.output)?;
+    let format = format_of(&args.out)?;
+    check_output_path("the sequence file", &args.out)?;
     // Of a folder with several formats, the files of the first one in this list are used.
     let formats: &[&[&str]] = &[&["glb"], &["abc"], &["usdc"]];
     let inputs = with_files_of_folders(&args.inputs, formats, ".glb, .abc or .usdc files of frames")?;
     let found = find_inputs(&inputs)?;
     found.report(console);
-    let frames = without_old_sequence_file(found.files, &args.output)?;
+    let frames = without_old_sequence_file(found.files, &args.out)?;
     let sequence = only_sequence(frames, "a sequence file holds one sequence")?;
     let source = |file: &FrameFile| SequenceSource { path: file.path.clone(), number: file.number() };
     let sources: Vec<SequenceSource> = sequence.frames.iter().map(source).collect();
@@ -37,9 +37,9 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Com
         console.warning("--meters-per-unit has no effect: it is for .usda and .usdc");
     }
     let options = SequenceOptions { fps: args.fps, meters_per_unit: args.meters_per_unit.unwrap_or(1.0) };
-    let shot = thread_pool(None)?.install(|| write_sequence_file(&args.output, format, &sources, options))?;
-    warn_gaps(&args.output, &sources, console);
-    report_sequence(&args.output, &shot, console);
+    let shot = thread_pool(None)?.install(|| write_sequence_file(&args.out, format, &sources, options))?;
+    warn_gaps(&args.out, &sources, console);
+    report_sequence(&args.out, &shot, console);
     Ok(if shot.left_out.is_empty() { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
 }
 

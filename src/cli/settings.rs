@@ -164,7 +164,7 @@ pub(super) fn report_settings(
     console.print_line(format_args!(
         "{}: {frames}, {spacing}{preset}voxel size {voxel_size}, r_min {radius_min}, r_init {radius_init}, r_max {radius_max}, {}",
         sequence.name,
-        pluralize(settings.steps as usize, "step")
+        pluralize(settings.smoothing.steps as usize, "step")
     ));
 }
 

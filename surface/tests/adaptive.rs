@@ -1,7 +1,7 @@
 //! The adaptive integrator: explicit steps as large as stability allows (paper, §3.5). They have the same
 //! total pseudo-time, and so the same surface, in fewer steps.
 
-use meniscus_surface::smooth::{Integrator, SmoothConfig, smooth};
+use meniscus_surface::smooth::{Integrator, SmoothConfig, SmoothSteps, smooth};
 
 use crate::shapes::{ball_with_finger, bending_energy, default_config, rasterized, sheet_and_drops, voxels};
 
@@ -44,8 +44,9 @@ fn adaptive_steps_give_the_result_of_explicit_ones() {
 fn total_time_is_the_number_of_steps_times_their_size() {
     let (start, bounds) = rasterized(&ball_with_finger());
     let smoothed = |steps, step_size, redistance_every| {
-        let config =
-            SmoothConfig { steps, step_size, redistance_every, ..default_config(Integrator::Adaptive) };
+        let config = default_config(Integrator::Adaptive);
+        let steps = SmoothSteps { steps, step_size, redistance_every, ..config.steps };
+        let config = SmoothConfig { steps, ..config };
         let mut band = start.clone();
         let report = smooth(&mut band, &bounds, &config, &mut |_| {});
         (bending_energy(&band), report.pass_count)

@@ -7,7 +7,7 @@ use meniscus_surface::grid::{LEAF_VOXELS, offset_in_leaf, voxel_in_leaf};
 use meniscus_surface::level_set::{Bounds, NarrowBand};
 use meniscus_surface::particles::OwnedPositions;
 use meniscus_surface::rasterize::{Radii, RasterFields, RasterParams, rasterize};
-use meniscus_surface::smooth::{Integrator, SmoothConfig, SmoothReport, smooth};
+use meniscus_surface::smooth::{Integrator, SmoothConfig, SmoothReport, SmoothSteps, smooth};
 use meniscus_surface::space::Lattice;
 
 /// Distance between neighbouring particles, in voxels.
@@ -25,16 +25,8 @@ pub(crate) fn default_config(integrator: Integrator) -> SmoothConfig {
         Integrator::Explicit | Integrator::Adaptive => (500, 0.01, 50),
         Integrator::Fast | Integrator::Implicit => (5, 20.0, 1),
     };
-    SmoothConfig {
-        redistances_first: false,
-        laplacian_steps: 15,
-        integrator,
-        steps,
-        step_size,
-        redistance_every,
-        pin_isolated_spheres: false,
-        distances_voxels: 0.0,
-    }
+    let steps = SmoothSteps { laplacian_steps: 15, integrator, steps, step_size, redistance_every };
+    SmoothConfig { steps, ..SmoothConfig::default() }
 }
 
 /// The three unions of spheres of particles given in voxels.

@@ -15,7 +15,7 @@ use std::sync::Arc;
 use glam::IVec3;
 use meniscus_surface::grid::{Field, LEAF_VOXELS, Leaf, Topology, voxel_in_leaf};
 use meniscus_surface::level_set::{Bounds, NarrowBand};
-use meniscus_surface::smooth::{Integrator, SmoothConfig, smooth, smooth_laplacian_only};
+use meniscus_surface::smooth::{Integrator, SmoothConfig, SmoothSteps, smooth, smooth_laplacian_only};
 
 use crate::shapes::{Random, bending_energy, volume};
 
@@ -66,16 +66,8 @@ fn thin_plate_smoothing_restores_a_noisy_sphere() {
         (Integrator::Explicit, 10_000, 0.01, 50),
     ] {
         let (mut band, bounds) = noisy_sphere();
-        let config = SmoothConfig {
-            redistances_first: false,
-            laplacian_steps: 0,
-            integrator,
-            steps,
-            step_size,
-            redistance_every,
-            pin_isolated_spheres: false,
-            distances_voxels: 0.0,
-        };
+        let steps = SmoothSteps { laplacian_steps: 0, integrator, steps, step_size, redistance_every };
+        let config = SmoothConfig { steps, ..SmoothConfig::default() };
         smooth(&mut band, &bounds, &config, &mut |_| {});
         let volume = volume(&band) / ball_volume(RADIUS);
         let energy = bending_energy(&band) / (4.0 * PI);

@@ -511,7 +511,7 @@ fn commands_are_found_without_their_remarks() {
     let found = commands(text);
     let found: Vec<(&str, i32)> = found.iter().map(|command| (command.text, command.status)).collect();
     assert_eq!(found, [("meniscus a b", 0), ("meniscus d.##.e", 1), ("cargo test", 0)]);
-    assert_eq!(made_by(&["meniscus", "render", "a", "-o", "b.png", "--out", "c"]), ["b.png", "c"]);
+    assert_eq!(made_by(&["meniscus", "convert", "a", "-o", "b", "--report", "c"]), ["b", "c"]);
     assert_eq!(made_by(&["meniscus", "status", "--out", "c"]), [""; 0]);
     assert_eq!(made_by(&["cargo", "run", "-p", "e", "--", "in", "out"]), ["out"]);
     assert_eq!(made_by(&["cargo", "run", "-p", "dam_break", "--", "in", "60"]), ["in"]);

@@ -295,7 +295,7 @@ fn invalid_picture_arguments_are_refused() {
     fs::write(path.join("scene.gltf"), r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[]}]}"#)
         .expect("written");
     for (arguments, words) in [
-        (&["dam.1.ply"][..], &["--output", "--out"][..]),
+        (&["dam.1.ply"][..], &["--out"][..]),
         (&["missing.ply", "-o", "a.png"], &["missing.ply", "no such file"]),
         (&["dam.1.ply", "-o", "a.jpg"], &["a.jpg", ".png or .exr"]),
         (&["dam.1.ply", "dam.2.ply", "-o", "a.png"], &["2 frames", "--out"]),

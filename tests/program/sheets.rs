@@ -205,7 +205,7 @@ fn printed_commands_give_the_pictures_of_the_cells() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_ply(&path.join("dam.7.ply"), &block(8, 0.0));
-    let tune = ["tune", "dam.7.ply", "-o", "tune.png", "--size", SIZE, "--out", "my meshes", "--vary"];
+    let tune = ["tune", "dam.7.ply", "-o", "tune.png", "--size", SIZE, "--results", "my meshes", "--vary"];
     let tune = [&tune[..], &["radius-ratio=1.25,3", "--vary", "preset=fluid,granular,paper"]].concat();
     let tune = [&tune[..], &["--fill-cavities=9", "--clip", "-1,-1,-1,0.6,2,2"]].concat();
     let tune = [&tune[..], &["--smooth-normals=2"]].concat();
@@ -346,7 +346,7 @@ fn invalid_sheet_arguments_are_refused() {
     let result = meniscus(path, &["render", "dam.1.ply", "-o", "picture.png", "--size", SIZE]);
     assert_eq!(result.status, 0, "{}", result.err);
     for (arguments, words) in [
-        (&["contact-sheet", "."][..], &["--output"][..]),
+        (&["contact-sheet", "."][..], &["--out"][..]),
         (&["contact-sheet", ".", "-o", "a.jpg"], &["a.jpg", ".png"]),
         (&["contact-sheet", ".", "-o", "a.exr"], &["a.exr", ".png"]),
         (&["contact-sheet", "missing", "-o", "a.png"], &["missing", "no such file or folder"]),

@@ -88,9 +88,9 @@ option_set! {
         ///
         /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is created. If PATH is a file,
         /// its extension selects the format. To create a folder with a name like that of a file, end it with a
-        /// slash: shot.obj/. Files are written under temporary names, and renamed when they are complete. They
-        /// never replace an input, or a .ply, .vtp or .vdb file of another program, but other files of their
-        /// names.
+        /// slash: shot.obj/. Files are written under temporary names, and renamed when they are complete.
+        /// Existing files with these names are replaced, except inputs, and .ply, .vtp and .vdb files of
+        /// other programs.
         #[arg(short, long, value_name = "PATH", required_unless_present = "print_settings")]
         pub(super) out: Option<PathBuf>,
 
@@ -105,7 +105,8 @@ option_set! {
         #[arg(long, value_name = "FILE")]
         pub(super) report: Option<PathBuf>,
 
-        /// Skip frames that are done: recorded with the same input, settings and version, and unchanged
+        /// Skip frames that are done: recorded with the same input, settings and version, and with unchanged
+        /// results
         #[arg(long)]
         pub(super) skip_done: bool,
 
@@ -118,7 +119,7 @@ option_set! {
         #[arg(long, value_name = "VOXELS", allow_negative_numbers = true, value_parser = deviation())]
         pub(super) max_deviation: Option<f64>,
 
-        /// Write the particles unchanged, as ply or vtp, without a surface
+        /// Write the particles unchanged, without a surface, as ply, or as vtp with --format vtp
         ///
         /// Every attribute keeps its name and type, and positions keep 64 bits. Options for surfaces are
         /// refused.
@@ -161,7 +162,7 @@ option_set! {
 
         /// After the conversion, combine the frames into one animated .glb, .usda, .usdc or .abc, as
         /// `meniscus sequence` does; may be repeated; requires a single sequence, and glb in --format
-        #[arg(long, value_name = "FILE", help_heading = SEQUENCE_FILE)]
+        #[arg(long, value_name = "FILE", help_heading = ANIMATION)]
         pub(super) sequence: Vec<PathBuf>,
     }
 }
@@ -200,14 +201,14 @@ Choosing the spacing, the voxel size and the radii:
   --voxel-size cannot be in voxels.
 
   By default, lengths and the amount (pseudo-time) of smoothing scale with d. The voxel size h is
-  0.32d: half of it shows more detail of the same surface, and takes about four times the time and the
-  memory. On a coarse grid radii are raised to √3·h, the diagonal of a voxel, so that no particle
+  0.32d: half that size shows more detail of the same surface, and takes about four times the time
+  and the memory. On a coarse grid radii are raised to √3·h, the diagonal of a voxel, so that no particle
   falls between the voxels.
 
-  The smoothed surface encloses a sphere of radius r_min around the (smoothed) position of every particle,
-  and each of its points is within r_max of some particle. Particles in sheets and filaments are flattened instead
-  (--thin-radius), and particles without neighbours are smaller, and their surface stays close to them
-  (--lone-radius).
+  The smoothed surface encloses a sphere of radius r_min around the (smoothed) position of every
+  particle, and each of its points is within r_max of some particle. Particles in sheets and
+  filaments are flattened instead (--thin-radius). Particles without neighbours are smaller, and
+  their surface stays close to them (--lone-radius).
 
   --radius-ratio  r_max / r_min: how far smoothing may move the surface. More is smoother, less
                   follows the particles more closely.
@@ -240,8 +241,8 @@ option_set! {
         )]
         pub(super) format: Option<Vec<OutputFormat>>,
 
-        /// Axis of the particles that points up; with z, .glb and .abc are rotated, because they have Y up,
-        /// and USD records the axis [default: y]
+        /// Axis of the particles that points up; with z, .glb, .gltf and .abc are rotated, because they have Y
+        /// up; USD records the axis; other formats keep the coordinates [default: y]
         #[arg(long, help_heading = FORMATS, value_name = "AXIS", ignore_case = true, value_parser = up_axis())]
         pub(super) up: Option<UpAxis>,
 
@@ -250,12 +251,12 @@ option_set! {
         #[arg(long, help_heading = FORMATS, value_name = "M", value_parser = ranged::<f64>(METERS_PER_UNIT))]
         pub(super) meters_per_unit: Option<f64>,
 
-        /// How .vdb stores values: blosc, active (stores only active values) or none; with half, in 16 bits
-        /// of about three significant digits, as in half,blosc [default: blosc]
+        /// How .vdb stores values: blosc (compressed), active (only active values) or none (uncompressed); with
+        /// half, in 16 bits of about three significant digits, as in half,blosc [default: blosc]
         #[arg(long, help_heading = FORMATS, value_name = "LIST")]
         pub(super) vdb: Option<vdb::ValueEncoding>,
 
-        /// Also write a picture of each frame, with one camera for the whole sequence [default: none]
+        /// Also write a picture of each frame, with one camera for the whole sequence
         #[arg(long, help_heading = FORMATS, value_name = "FORMAT", ignore_case = true, value_parser = picture_format())]
         pub(super) preview: Option<OutputFormat>,
 
@@ -269,18 +270,19 @@ option_set! {
         #[arg(long, help_heading = FORMATS, value_name = "SPEC")]
         pub(super) camera: Option<CameraChoice>,
 
-        /// Write a small USD stage that plays the .usdc or .usda files of the frames, and their .vdb files;
-        /// requires usdc or usda in --format, or vdb without any mesh format
+        /// Write a small USD stage that plays the frames; requires usdc or usda in --format, or --format vdb for
+        /// volumes only
         ///
         /// FILE must end in .usda. It is replaced while frames arrive: it plays the frames that are complete,
         /// and holds the previous one where a frame is missing. Its paths are relative to its folder, so move
-        /// it together with the results. Each sequence is a prim. Every shard updates the stage.
-        #[arg(long, help_heading = SEQUENCE_FILE, value_name = "FILE")]
+        /// it together with the results. Each sequence is a prim. Processes that convert parts of a sequence
+        /// update the same stage.
+        #[arg(long, help_heading = ANIMATION, value_name = "FILE")]
         pub(super) stage: Option<PathBuf>,
 
-        /// Frame rate of the sequence file or the stage, per second, more than 0 and at most 1000; use that
-        /// of your scene [default: 24]
-        #[arg(long, help_heading = SEQUENCE_FILE, value_name = "N", value_parser = parse_fps)]
+        /// Frames per second at which the animation plays, more than 0 and at most 1000; use the frame rate of
+        /// your scene [default: 24]
+        #[arg(long, help_heading = ANIMATION, value_name = "N", value_parser = parse_fps)]
         pub(super) fps: Option<f64>,
     }
 }
@@ -289,7 +291,7 @@ option_set! {
 const FORMATS: &str = "Formats";
 
 /// The heading of the options for all frames together.
-pub(super) const SEQUENCE_FILE: &str = "Sequence file";
+pub(super) const ANIMATION: &str = "Animation";
 
 /// A surface format.
 fn surface_format() -> impl TypedValueParser<Value = OutputFormat> {
@@ -420,9 +422,9 @@ pub(super) struct WatchArgs {
 
     /// Folder for the results; created if missing
     ///
-    /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on, sub/dam.0012.bgeo becomes DIR/sub/dam.0012.glb. The
+    /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on, and sub/dam.0012.bgeo becomes DIR/sub/dam.0012.glb. The
     /// records of converted frames are in DIR/.meniscus.
-    #[arg(long, value_name = "DIR", required_unless_present = "config")]
+    #[arg(short, long, value_name = "DIR", required_unless_present = "config")]
     pub(super) out: Option<PathBuf>,
 
     /// Read folders and settings from this file; options given here override it
@@ -489,11 +491,11 @@ option_set! {
         #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
         pub(super) disk_floor: Option<u64>,
 
-        /// How long a file must be unchanged before it is read [default: 500ms]
+        /// How long a file that is complete by its format must be unchanged before it is read [default: 500ms]
         ///
-        /// If its format cannot show whether it is complete: four times as long. If its format shows that it
-        /// is incomplete: at least 30s, or with --once only four times this time; then it is read, and its
-        /// frame fails with a message about the missing part.
+        /// A file whose format cannot show this must be unchanged for four times as long. A file that is
+        /// incomplete must be unchanged for at least 30s, with --once for four times as long; then its frame
+        /// fails, with a message about the missing part.
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(super) settle: Option<Duration>,
 
@@ -573,17 +575,13 @@ pub(super) struct RenderArgs {
     #[arg(required = true, value_name = "INPUT")]
     pub(super) inputs: Vec<PathBuf>,
 
-    /// The picture of one frame: a name that ends with .png or .exr
-    #[arg(short, long, value_name = "FILE", conflicts_with_all = ["out", "format"], required_unless_present = "out")]
-    pub(super) output: Option<PathBuf>,
-
-    /// Folder for the pictures of any number of frames; created if missing
+    /// Folder for the pictures; for a single frame also a file such as dam.png or dam.exr
     ///
-    /// dam.0012.bgeo becomes DIR/dam.0012.png.
-    #[arg(long, value_name = "DIR")]
-    pub(super) out: Option<PathBuf>,
+    /// dam.0012.bgeo becomes DIR/dam.0012.png; a missing folder is created.
+    #[arg(short, long, value_name = "PATH")]
+    pub(super) out: PathBuf,
 
-    /// The format of the pictures in --out [default: png]
+    /// The format of the pictures in a folder [default: png]
     #[arg(long, value_name = "FORMAT", value_parser = picture_format())]
     pub(super) format: Option<OutputFormat>,
 
@@ -693,7 +691,7 @@ pub(super) struct ContactSheetArgs {
 
     /// The sheet: a name that ends with .png
     #[arg(short, long, value_name = "FILE")]
-    pub(super) output: PathBuf,
+    pub(super) out: PathBuf,
 
     /// Only frames with these numbers, such as 1-240x2 (every other frame) or 1-10,20,30-40x5
     #[arg(long, value_name = "NUMBERS", allow_hyphen_values = true)]
@@ -727,7 +725,7 @@ pub(super) struct TuneArgs {
 
     /// The sheet: a name that ends with .png
     #[arg(short, long, value_name = "FILE")]
-    pub(super) output: PathBuf,
+    pub(super) out: PathBuf,
 
     /// An option of convert for surfaces, with the values to show, such as preset=fluid,noisy,splash
     /// [default: position-smoothing=0,0.3,0.55,0.8 and radius-ratio=1.2,1.5,2,2.8]
@@ -745,9 +743,9 @@ pub(super) struct TuneArgs {
     #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "480x360")]
     pub(super) size: PictureSize,
 
-    /// The value of --out in the printed commands, the folder for their results; tune does not create it
+    /// The folder for results in the printed commands; tune does not create it
     #[arg(long, value_name = "DIR", default_value = "surfaces")]
-    pub(super) out: PathBuf,
+    pub(super) results: PathBuf,
 
     #[command(flatten)]
     pub(super) pictures: PictureArgs,
@@ -797,8 +795,8 @@ pub(super) struct FlickerArgs {
     #[arg(long, required = true, value_name = "PARTICLES")]
     pub(super) particles: Vec<PathBuf>,
 
-    /// The surfaces of the same frames that were made without --temporal: measures how far the averaged ones lag
-    /// behind them
+    /// The surfaces of the same frames that were made without --temporal: measures how far the averaged
+    /// ones lag behind them
     #[arg(long, value_name = "MESHES")]
     pub(super) unaveraged: Vec<PathBuf>,
 
@@ -812,7 +810,7 @@ pub(super) struct FlickerArgs {
     )]
     pub(super) fps: Option<f64>,
 
-    /// Time between consecutive frames of particles, in the unit of time of the velocities, instead of --fps
+    /// Time from one frame of particles to the next, in the unit of time of the velocities, instead of --fps
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = parse_positive)]
     pub(super) dt: Option<f64>,
 
@@ -887,7 +885,7 @@ pub(super) struct SequenceArgs {
 
     /// The sequence file to write: a .glb with an animation, or a .usda, .usdc or .abc with time samples
     #[arg(short, long, value_name = "FILE")]
-    pub(super) output: PathBuf,
+    pub(super) out: PathBuf,
 
     /// Frame rate of the sequence file, per second, more than 0 and at most 1000; use that of your scene
     #[arg(long, value_name = "N", default_value_t = FPS, value_parser = parse_fps)]

@@ -36,7 +36,7 @@ pub(in crate::cli) fn contact_sheet(
     let selected_strips = select_frames(strips, args)?;
     let cell_count = selected_strips.iter().map(|strip| strip.frames.len()).sum();
     refuse_large(cell_count, args.size, memory_bytes(args.pictures.run.memory)?)?;
-    let (file, session) = SheetFile::prepare(&args.output, &args.pictures, args.size, &files, None, console)?;
+    let (file, session) = SheetFile::prepare(&args.out, &args.pictures, args.size, &files, None, console)?;
     let contact = Contact { args, session };
     console.show_bar(cell_count);
     let pool = thread_pool(args.pictures.run.threads)?;

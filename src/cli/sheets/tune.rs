@@ -58,7 +58,7 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
     // The middle one of the selected frames.
     let frame = &selected[selected.len() / 2];
     let (file, session) =
-        SheetFile::prepare(&args.output, &args.pictures, args.size, &paths, Some(&CONVERTED), console)?;
+        SheetFile::prepare(&args.out, &args.pictures, args.size, &paths, Some(&CONVERTED), console)?;
     let pool = thread_pool(args.pictures.run.threads)?;
     let tuning = pool.install(|| Tuning::new(args, session, sequence, frame, &grid, console))?;
     if sequence.frames.len() > 1 {
@@ -415,7 +415,7 @@ impl CommandLine {
     /// The command that converts the inputs of `tune` with these options. The output folder, the obstacles
     /// and the up axis are those given to `tune`.
     pub(super) fn convert(
-        TuneArgs { inputs, out, pictures, .. }: &TuneArgs,
+        TuneArgs { inputs, results, pictures, .. }: &TuneArgs,
         options: &MethodOptions,
     ) -> CommandLine {
         let mut line = CommandLine { words: Vec::new(), short_words: Vec::new() };
@@ -423,7 +423,7 @@ impl CommandLine {
         line.add("convert");
         inputs.iter().for_each(|input| line.add_path(input));
         line.add("--out");
-        line.add_path(out);
+        line.add_path(results);
         for (name, value) in options.to_pairs() {
             match name {
                 "quads" if value == "true" => line.add("--quads"),
@@ -549,7 +549,7 @@ mod tests {
     #[test]
     fn long_paths_are_abbreviated_on_sheets_only() {
         let long = "a/long/way/to/somewhere/that/nobody/knows/dam.####.bgeo";
-        let typed = ["meniscus", "tune", long, "./-x.ply", "-o=s.png", "--out=my meshes", "--up=z"];
+        let typed = ["meniscus", "tune", long, "./-x.ply", "-o=s.png", "--results=my meshes", "--up=z"];
         let Command::Tune(args) = Cli::parse_from(typed).command else { panic!("another command") };
         let line = CommandLine::convert(
             &TuneArgs { inputs: vec![long.into(), "-x.ply".into()], ..*args },

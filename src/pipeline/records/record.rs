@@ -212,11 +212,11 @@ fn settings_of_particles(settings: &Settings, outputs: &OutputOptions, obstacles
         ("radius_min", json!(settings.radius_min)),
         ("radius_init", json!(settings.radius_init)),
         ("radius_max", json!(settings.radius_max)),
-        ("integrator", json!(settings.integrator.name())),
-        ("laplacian_steps", json!(settings.laplacian_steps)),
-        ("steps", json!(settings.steps)),
-        ("step_size", json!(settings.step_size)),
-        ("redistance_every", json!(settings.redistance_every)),
+        ("integrator", json!(settings.smoothing.integrator.name())),
+        ("laplacian_steps", json!(settings.smoothing.laplacian_steps)),
+        ("steps", json!(settings.smoothing.steps)),
+        ("step_size", json!(settings.smoothing.step_size)),
+        ("redistance_every", json!(settings.smoothing.redistance_every)),
         ("contour", json!(settings.contouring.name())),
     ]);
     // `quads` depends on the outputs, and `void_threshold` on the obstacles, so they are added below. The

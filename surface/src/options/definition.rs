@@ -67,7 +67,8 @@ method_options! {
     /// spacings or voxels: see [`Length`].
     pub struct MethodOptions {
         General {
-            /// A set of defaults for a kind of particles; other options override it [default: fluid]
+            /// A set of defaults for a kind of particles; other options override it, and their defaults below are
+            /// those of fluid [default: fluid]
             #[value(named("NAME"))]
             preset: Preset,
 
@@ -115,7 +116,7 @@ method_options! {
             radius_attribute: String,
 
             /// Factor from a particle's own radius to its r_min, positive [default: 1]
-            #[value(named("S"))]
+            #[value(named("FACTOR"))]
             radius_scale: f64 => [OptionName::new("radius_attribute")], |options, _| options.radius_attribute.is_some(),
 
             /// How to stretch particles, so that sheets and jets are thin and smooth [default: neighbors]
@@ -123,7 +124,7 @@ method_options! {
             anisotropy: AnisotropyKind,
 
             /// Maximum ratio of a particle's longest semi-axis to its shortest, 1 to 8 [default: 4]
-            #[value(named("K"))]
+            #[value(named("RATIO"))]
             max_stretch: f64 in 1.0..=MAX_STRETCH_MAX
                 => [OptionName::with_value("anisotropy", "neighbors"), OptionName::with_value("anisotropy", "velocity")],
                 |options, _| options.anisotropy_kind() != AnisotropyKind::None,
@@ -147,11 +148,11 @@ method_options! {
 
             /// Move particles near the surface toward the mean of their neighbours by this fraction of the
             /// distance, 0 to 1 [default: 0.55]
-            #[value(named("L"))]
+            #[value(named("FRACTION"))]
             position_smoothing: f64 in 0.0..=1.0,
 
-            /// Stretch each particle along its velocity by the distance that it moves in this time, in units of r_min;
-            /// positive, for --anisotropy velocity [default: 0.01]
+            /// For --anisotropy velocity: the more r_min a particle moves in this time, the more it is stretched
+            /// along its velocity; positive [default: 0.01]
             #[value(named("SECONDS"))]
             velocity_gain: f64
                 => [OptionName::with_value("anisotropy", "velocity")],
@@ -175,7 +176,7 @@ method_options! {
 
             /// Multiply velocities by this factor, and accelerations by its square, 1e-9 to 1e9. If velocities
             /// are per frame, give the frame rate [default: 1]
-            #[value(named("F"))]
+            #[value(named("FACTOR"))]
             velocity_scale: f64 in VELOCITY_SCALE_MIN..=VELOCITY_SCALE_MAX
                 => [
                     OptionName::new("attributes"),
@@ -190,7 +191,8 @@ method_options! {
             #[value(named("N"))]
             temporal: u32 in 0..=FRAMES_MAX,
 
-            /// Seconds between two frames, 1e-9 to 1e9, for --temporal with particles that have velocities and no ids
+            /// Seconds from one frame to the next (not the time step of the solver), 1e-9 to 1e9, for --temporal with
+            /// particles that have velocities and no ids
             #[value(named("SECONDS"))]
             time_step: f64 in TIME_STEP_MIN..=TIME_STEP_MAX
                 => [OptionName::new("temporal")],
@@ -201,8 +203,8 @@ method_options! {
             #[value(named("N"))]
             drop_islands: u32 in 0..=ISLAND_MAX,
 
-            /// Fill enclosed cavities with less volume than this, in units of h³, 0 to 1000000 [default: 25
-            /// (d/h)³, which is 25 d³]
+            /// Fill enclosed cavities with less volume than this, in h³, 0 to 1000000 [default: as many h³ as
+            /// 25 d³ are, 763 on the default grid]
             #[value(named("VOLUME"))]
             fill_cavities: f64 in 0.0..=CAVITY_VOXELS_MAX,
 
@@ -226,7 +228,7 @@ method_options! {
             smooth_normals: u32 in 0..=ROUNDS_MAX,
 
             /// Write the quads of dual contouring to formats with polygons, such as .obj, .usdc and .abc;
-            /// --quads=false overrides the key quads of `watch --config`
+            /// --quads=false overrides the key in a configuration file
             #[value(named("BOOL").or_omitted("true"))]
             quads: bool,
         }
@@ -235,19 +237,19 @@ method_options! {
             #[value(named("WHICH"))]
             integrator: Integrator,
 
-            /// Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are
-            /// recomputed in their place [default: 3 (d/h)², 29 on the default grid]
+            /// Number of Laplacian steps before the biharmonic ones, 0 to 1000000; 0 only recomputes
+            /// the distances [default: 3 (d/h)², 29 on the default grid]
             #[value(named("N"))]
             laplacian_steps: u32 in 0..=STEPS_MAX,
 
-            /// Number of biharmonic steps, 0 to 1000000 [default: 1; explicit, adaptive: a larger number of
-            /// smaller steps with the same total pseudo-time]
+            /// Number of biharmonic steps, 0 to 1000000 [default: 1; explicit, adaptive: as many as
+            /// give the same total pseudo-time]
             #[value(named("N"))]
             steps: u32 in 0..=STEPS_MAX,
 
             /// Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.01
             /// (d/h)⁴; explicit, adaptive: 0.01]
-            #[value(named("S"))]
+            #[value(named("SIZE"))]
             step_size: f64 in STEP_SIZE_MIN..=STEP_SIZE_MAX,
 
             /// Recompute distances after this many biharmonic steps, 1 to 1000000 [default: 1; explicit,

@@ -22,7 +22,7 @@ pub use resolution::Pairs;
 pub use values::{AnisotropyKind, AttributeSelection, ClipBox, Length, LengthUnit};
 
 use crate::particles::{Attribute, ParticleFilter, find_attribute};
-use crate::smooth::EIGENVALUE_MAX;
+use crate::smooth::{EIGENVALUE_MAX, SmoothSteps};
 use crate::spacing::median;
 use crate::words::significant;
 use presets::{Scale, Unit};
@@ -82,16 +82,8 @@ pub struct Settings {
     pub smooth_normals: u32,
     /// Whether files of formats with polygons have quads.
     pub quads: bool,
-    /// The integrator of the smoothing.
-    pub integrator: Integrator,
-    /// Number of Laplacian steps before the biharmonic ones.
-    pub laplacian_steps: u32,
-    /// Number of biharmonic steps.
-    pub steps: u32,
-    /// Size of a biharmonic step, in units of h⁴.
-    pub step_size: f64,
-    /// Number of biharmonic steps between redistancings.
-    pub redistance_every: u32,
+    /// The steps of the smoothing.
+    pub smoothing: SmoothSteps,
     /// Number of frames before and after each frame with which its surface is averaged.
     pub temporal: u32,
     /// Seconds between two frames, for particles without ids.
@@ -303,11 +295,15 @@ impl Settings {
             quads: options.quads.unwrap_or(false),
             attributes: options.attributes.clone(),
             velocity_scale: options.velocity_scale.unwrap_or(1.0),
-            integrator,
-            laplacian_steps: options.laplacian_steps.unwrap_or_else(|| laplacian_steps(&recipe, voxels)),
-            steps: options.steps.unwrap_or_else(|| default_steps(&recipe, integrator, voxels)),
-            step_size: options.step_size.unwrap_or_else(|| default_step_size(&recipe, integrator, voxels)),
-            redistance_every: options.redistance_every.unwrap_or(if explicit { 50 } else { 1 }),
+            smoothing: SmoothSteps {
+                integrator,
+                laplacian_steps: options.laplacian_steps.unwrap_or_else(|| laplacian_steps(&recipe, voxels)),
+                steps: options.steps.unwrap_or_else(|| default_steps(&recipe, integrator, voxels)),
+                step_size: options
+                    .step_size
+                    .unwrap_or_else(|| default_step_size(&recipe, integrator, voxels)),
+                redistance_every: options.redistance_every.unwrap_or(if explicit { 50 } else { 1 }),
+            },
             temporal: options.temporal.unwrap_or(0),
             time_step: options.time_step,
             contouring: options.contour.unwrap_or_default(),
@@ -373,8 +369,8 @@ impl Settings {
 
     /// Checks what depends on several options.
     fn check_together(&self) -> Result<(), SettingsError> {
-        if self.integrator == Integrator::Adaptive {
-            let time = f64::from(self.steps) * self.step_size;
+        if self.smoothing.integrator == Integrator::Adaptive {
+            let time = f64::from(self.smoothing.steps) * self.smoothing.step_size;
             let what = "total time of adaptive steps (steps times step size) in h⁴";
             require((0.0..=ADAPTIVE_TIME_MAX).contains(&time), || {
                 format!("the {what} is {time}; it must be from 0 to {ADAPTIVE_TIME_MAX}")
@@ -473,14 +469,15 @@ impl Settings {
     /// Warnings to show before work begins, one sentence each.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
-        if self.integrator == Integrator::Explicit && self.step_size >= EXPLICIT_STEP_MAX {
+        if self.smoothing.integrator == Integrator::Explicit && self.smoothing.step_size >= EXPLICIT_STEP_MAX
+        {
             warnings.push(format!(
                 "the explicit step size of {} h⁴ is not below the stability limit, 2/144 = {EXPLICIT_STEP_MAX:.5} h⁴: choose a \
                  smaller step size",
-                self.step_size
+                self.smoothing.step_size
             ));
         }
-        if self.integrator == Integrator::Adaptive {
+        if self.smoothing.integrator == Integrator::Adaptive {
             warnings.push(
                 "adaptive steps are for single frames: their sizes differ per frame, so a sequence flickers"
                     .into(),
@@ -505,9 +502,9 @@ impl Settings {
     /// The number of biharmonic steps, and whether it is only a lower bound: adaptive steps are at most as
     /// large as is stable.
     fn step_count(&self) -> (bool, f64) {
-        let steps = f64::from(self.steps);
-        match self.integrator {
-            Integrator::Adaptive => (true, steps * (self.step_size / EXPLICIT_STEP_MAX)),
+        let steps = f64::from(self.smoothing.steps);
+        match self.smoothing.integrator {
+            Integrator::Adaptive => (true, steps * (self.smoothing.step_size / EXPLICIT_STEP_MAX)),
             Integrator::Fast | Integrator::Implicit | Integrator::Explicit => (false, steps),
         }
     }

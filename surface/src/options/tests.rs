@@ -65,10 +65,10 @@ fn presets_smooth_for_the_same_time_with_any_integrator() {
             Settings::paper(1.0, &choices).expect("sound")
         };
         for preset in Preset::ALL {
-            assert_eq!(resolved(Some(*preset), Some(7)).steps, 7);
+            assert_eq!(resolved(Some(*preset), Some(7)).smoothing.steps, 7);
         }
         let [fluid, preview] = [Preset::Fluid, Preset::Preview].map(|preset| resolved(Some(preset), None));
-        let time = |settings: &Settings| f64::from(settings.steps) * settings.step_size;
+        let time = |settings: &Settings| f64::from(settings.smoothing.steps) * settings.smoothing.step_size;
         // 0.01 d⁴, with d = 2 h.
         assert_eq!(time(&fluid), 0.16);
         assert_eq!(preview.voxel_size, 1.0);
@@ -80,8 +80,8 @@ fn in_spacings(settings: &Settings) -> [f64; 7] {
     let h = settings.voxel_size / settings.spacing;
     let lengths = [settings.radius_min, settings.radius_init, settings.radius_max, settings.neighbor_radius];
     let [min, init, max, radius] = lengths.map(|length| length / settings.spacing);
-    let time = f64::from(settings.steps) * settings.step_size * h.powi(4);
-    let laplacian_time = f64::from(settings.laplacian_steps) * h * h;
+    let time = f64::from(settings.smoothing.steps) * settings.smoothing.step_size * h.powi(4);
+    let laplacian_time = f64::from(settings.smoothing.laplacian_steps) * h * h;
     [min, init, max, radius, time, laplacian_time, settings.fill_cavities * h.powi(3)]
 }
 

@@ -196,11 +196,7 @@ fn longest_of(shape_stats: &ShapeStats) -> f32 {
 fn smooth_config(settings: &Settings, obstacles: &Obstacles) -> smooth::SmoothConfig {
     smooth::SmoothConfig {
         redistances_first: !obstacles.is_empty(),
-        laplacian_steps: settings.laplacian_steps,
-        integrator: settings.integrator,
-        steps: settings.steps,
-        step_size: settings.step_size as f32,
-        redistance_every: settings.redistance_every,
+        steps: settings.smoothing,
         pin_isolated_spheres: can_spheres_shrink(settings),
         // The offset moves the surface to the level φ = offset, so distances must be accurate up to there.
         distances_voxels: (settings.offset / settings.voxel_size).abs() as f32,
@@ -215,7 +211,7 @@ const SHRINKING_MAX: f64 = 0.15;
 /// voxel size and there are 15 Laplacian steps, because these already shrink the sphere to r_min.
 fn can_spheres_shrink(settings: &Settings) -> bool {
     let [least, init] = [settings.radius_min, settings.radius_init].map(|world| world / settings.voxel_size);
-    let left = smooth::radius_after_laplacian(init, settings.laplacian_steps);
+    let left = smooth::radius_after_laplacian(init, settings.smoothing.laplacian_steps);
     settings.per_particle_radius.is_some() || left - least > SHRINKING_MAX
 }
 

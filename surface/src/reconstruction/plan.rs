@@ -143,7 +143,8 @@ fn plan_any(
         let too_large = TooLarge { needed_bytes, allowed_bytes, requires_in_core, picture_bytes: 0 };
         Ok(Err(MemoryPlanError::TooLarge(too_large)))
     };
-    let requires_in_core = matches!(settings.integrator, Integrator::Implicit | Integrator::Adaptive);
+    let requires_in_core =
+        matches!(settings.smoothing.integrator, Integrator::Implicit | Integrator::Adaptive);
     if footprint.is_partial {
         return too_large(least_bytes(&footprint, settings), requires_in_core);
     }
@@ -174,7 +175,7 @@ fn rasterizing_fields(settings: &Settings) -> f64 {
 
 /// Number of fields in memory during smoothing.
 pub(super) fn smoothing_fields(settings: &Settings) -> f64 {
-    match settings.integrator {
+    match settings.smoothing.integrator {
         Integrator::Fast | Integrator::Explicit | Integrator::Adaptive => 5.6,
         Integrator::Implicit => 9.2,
     }

@@ -50,11 +50,9 @@ impl Integrator {
     }
 }
 
-/// Configuration, in units of voxels and of the time h⁴.
+/// The steps of the smoothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SmoothConfig {
-    /// True if φ_0 is no distance, as next to obstacles: φ is redistanced first.
-    pub redistances_first: bool,
+pub struct SmoothSteps {
     /// Number of Laplacian steps before the biharmonic ones. If 0, φ is redistanced instead.
     pub laplacian_steps: u32,
     /// The integrator of the biharmonic steps.
@@ -62,9 +60,31 @@ pub struct SmoothConfig {
     /// Number of biharmonic steps.
     pub steps: u32,
     /// Size of a biharmonic step, in units of h⁴. `Adaptive` varies the size within the same total time.
-    pub step_size: f32,
-    /// Number of steps between redistancings. The last step is always followed by one.
+    pub step_size: f64,
+    /// Number of biharmonic steps between redistancings. The last step is always followed by one.
     pub redistance_every: u32,
+}
+
+impl Default for SmoothSteps {
+    /// No steps.
+    fn default() -> SmoothSteps {
+        SmoothSteps {
+            laplacian_steps: 0,
+            integrator: Integrator::default(),
+            steps: 0,
+            step_size: 1.0,
+            redistance_every: 1,
+        }
+    }
+}
+
+/// Configuration, in units of voxels and of the time h⁴.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SmoothConfig {
+    /// True if φ_0 is no distance, as next to obstacles: φ is redistanced first.
+    pub redistances_first: bool,
+    /// The steps.
+    pub steps: SmoothSteps,
     /// Pins the radius of isolated spheres in implicit steps, so that they keep the radius left by the
     /// Laplacian steps. Explicit steps keep it without pinning. With pinning, thin filaments of the smallest
     /// particles become slightly thicker and rougher.
@@ -115,7 +135,11 @@ pub fn smooth(
 
 /// Restores the distances and bounds of a smoothed level set that was changed since.
 pub fn restore(band: &mut NarrowBand, bounds: &Bounds, config: &SmoothConfig) {
-    let without_steps = SmoothConfig { redistances_first: false, laplacian_steps: 0, steps: 0, ..*config };
+    let without_steps = SmoothConfig {
+        redistances_first: false,
+        steps: SmoothSteps { laplacian_steps: 0, steps: 0, ..config.steps },
+        ..*config
+    };
     smooth(band, bounds, &without_steps, &mut |_| {});
 }
 
@@ -141,16 +165,9 @@ pub fn radius_after_laplacian(radius_voxels: f64, steps: u32) -> f64 {
 /// redistanced and clamped every 50 steps and at the end.
 pub fn smooth_laplacian_only(band: &mut NarrowBand, bounds: &Bounds, steps: u32) {
     const REDISTANCE_EVERY: u32 = 50;
-    let config = SmoothConfig {
-        redistances_first: false,
-        laplacian_steps: steps,
-        integrator: Integrator::Explicit,
-        steps: 0,
-        step_size: 0.0,
-        redistance_every: 1,
-        pin_isolated_spheres: false,
-        distances_voxels: 0.0,
-    };
+    let steps =
+        SmoothSteps { laplacian_steps: steps, integrator: Integrator::Explicit, ..SmoothSteps::default() };
+    let config = SmoothConfig { steps, ..SmoothConfig::default() };
     let mut workspace = Workspace::new(band.topology.len());
     for op in schedule(&config, REDISTANCE_EVERY) {
         if matches!(op, SmoothOp::Laplacian { .. }) {
