@@ -196,14 +196,14 @@ Choosing the spacing, the voxel size and the radii:
   need: --spacing. Without it, d is measured on the first, middle and last frame of the sequence,
   printed, and the same for every frame.
 
-  A LENGTH is a number in world units, the particles' unit of length; or in particle spacings, such as
-  0.6d; or in voxels, such as 5h. Exceptions: --spacing has no other unit than the world unit, and
-  --voxel-size cannot be in voxels.
+  A LENGTH is a number in world units, the particles' unit of length; or in particle spacings, such
+  as 0.6d; or in voxels, such as 5h. Exceptions: --spacing has no other unit than the world unit,
+  and --voxel-size cannot be in voxels.
 
   By default, lengths and the amount (pseudo-time) of smoothing scale with d. The voxel size h is
   0.32d: half that size shows more detail of the same surface, and takes about four times the time
-  and the memory. On a coarse grid radii are raised to √3·h, the diagonal of a voxel, so that no particle
-  falls between the voxels.
+  and the memory. On a coarse grid radii are raised to √3·h, the diagonal of a voxel, so that no
+  particle falls between the voxels.
 
   The smoothed surface encloses a sphere of radius r_min around the (smoothed) position of every
   particle, and each of its points is within r_max of some particle. Particles in sheets and
@@ -213,10 +213,12 @@ Choosing the spacing, the voxel size and the radii:
   --radius-ratio  r_max / r_min: how far smoothing may move the surface. More is smoother, less
                   follows the particles more closely.
   --radius-init   where smoothing starts: about 0.9 spacings or more. The spheres of neighbouring
-                  particles must overlap, or the surface begins with holes that smoothing cannot close.
+                  particles must overlap, or the surface begins with holes that smoothing cannot
+                  close.
   --position-smoothing
-                  how far particles are first moved towards the mean of their neighbours. More makes the
-                  surface smoother and steadier; 0 keeps every original position inside the surface.
+                  how far particles are first moved towards the mean of their neighbours. More makes
+                  the surface smoother and steadier; 0 keeps every original position inside the
+                  surface.
 
   With --preset paper the radii follow h, as in the paper. If h is smaller than half the spacing,
   neighbouring spheres would not overlap: also give the radii, in spacings, for example
@@ -652,7 +654,7 @@ const CAMERAS: &str = "\
 Cameras:
   By default a fixed camera shows the whole sequence, according to the bounds of its first, middle
   and last frame. Keys are separated by commas:
-    azimuth, elevation  degrees from the front to the right, and above the horizon [default: 32 and 22]
+    azimuth, elevation  degrees from the front to the right, and above the horizon [default: 32, 22]
     zoom                1 fits the bounds, 2 shows them twice as large [default: 1]
     view                vertical angle of view, in degrees [default: 30]
     up                  axis of the world that points up, y or z [default: that of --up]
@@ -753,8 +755,8 @@ pub(super) struct TuneArgs {
 
 const TUNING: &str = "\
 What is shown:
-  A close-up of the part of the frame with the most surface, 16 particle spacings wide; with --camera
-  zoom=1 the whole frame. --camera and --camera-from select any other view.
+  A close-up of the part of the frame with the most surface, 16 particle spacings wide; with
+  --camera zoom=1 the whole frame. --camera and --camera-from select any other view.
 
   All other options apply to every cell; without --vary, an option that is given is not varied. For
   each cell, the command that converts INPUT with its settings is on the sheet, and is printed with
@@ -768,9 +770,9 @@ Exit status:
 const CONTACT_SHEETS: &str = "\
 What is shown:
   Each sequence has its own part of the sheet and one camera; files outside sequences share a part.
-  Existing pictures are cheapest, then level sets, meshes and particles. Pictures are used only if they
-  show all existing frames with one camera, and none of --camera, --camera-from and --up is given. The
-  title says which kind was used.
+  Existing pictures are cheapest, then level sets, meshes and particles. Pictures are used only if
+  they show all existing frames with one camera, and none of --camera, --camera-from and --up is
+  given. The title says which kind was used.
 
 Exit status:
   0    every frame is on the sheet
@@ -855,18 +857,19 @@ pub(super) struct FlickerArgs {
 
 const DEFINITION: &str = "\
 What is scored:
-  Points on the surface of a frame, evenly by area, are advected to the frames before and after it with the
-  particles around them. These are followed by their ids if at least half of those in the first frame have
-  unique ones, else by their velocities.
-  A point's flicker is the second difference of its signed distances to the three surfaces, in particle
-  spacings. The score is the root of its mean square: 0 for a surface that moves as its particles do.
-  The first difference is the root mean square of the distances to the next surface, and lag 2 that of points
-  carried from the frame before to the frame after.
-  A ghost is a piece of the surface without particles, or with less than half of their volume. The volume step is
-  the largest change of the volume from a frame to the next, relative to the volume.
+  Points on the surface of a frame, evenly by area, are advected to the frames before and after it
+  with the particles around them. These are followed by their ids if at least half of those in the
+  first frame have unique ones, else by their velocities. A point's flicker is the second difference
+  of its signed distances to the three surfaces, in particle spacings. The score is the root of its
+  mean square: 0 for a surface that moves as its particles do. The first difference is the root mean
+  square of the distances to the next surface, and lag 2 that of points carried from the frame
+  before to the frame after. A ghost is a piece of the surface without particles, or with less than
+  half of their volume. The volume step is the largest change of the volume from a frame to the
+  next, relative to the volume.
 
   A distance of more than 2 spacings counts as 2. Points with no particle within 3 spacings are
-  counted and left out. A frame is scored if the frames before and after it have a mesh and particles.
+  counted and left out. A frame is scored if the frames before and after it have a mesh and
+  particles.
 
 Exit status:
   0    every frame between two others is scored
@@ -900,23 +903,26 @@ pub(super) struct SequenceArgs {
 pub(super) const FPS: f64 = 24.0;
 
 const PLAYING: &str = "\
-The number of a frame determines when it is shown; if a frame is missing, the previous frame is held. In USD the numbers
-are the time codes, and in an .abc frame n is at n / --fps seconds. In a .glb the differences between the numbers are divided
-by their greatest common divisor: frames 0, 100 and 300 play at frames 0, 1 and 3. If some names have no number, or the
-numbers do not increase, frames are counted from 1.
+The number of a frame determines when it is shown; if a frame is missing, the previous frame is
+held. In USD the numbers are the time codes, and in an .abc frame n is at n / --fps seconds. In a
+.glb the differences between the numbers are divided by their greatest common divisor: frames 0, 100
+and 300 play at frames 0, 1 and 3. If some names have no number, or the numbers do not increase,
+frames are counted from 1.
 
 The file may replace an older sequence file, and no other file.
 
-Frame n of a scene shows frame n of the .glb if the scene has the same frames per second as --fps: in Blender set the frame
-rate (24 by default) before importing. At a lower rate the scene skips frames.
+Frame n of a scene shows frame n of the .glb if the scene has the same frames per second as --fps:
+in Blender set the frame rate (24 by default) before importing. At a lower rate the scene skips
+frames.
 
-A .glb has a node for each frame, and shows one after the other by animating their scales in steps; it must stay below
-4 GiB. USD and .abc have no such limit: each is one mesh with time samples. Do not blend between the samples: vertices
-with the same index in two frames are different points of the surface.
+A .glb has a node for each frame, and shows one after the other by animating their scales in steps;
+it must stay below 4 GiB. USD and .abc have no such limit: each is one mesh with time samples. Do
+not blend between the samples: vertices with the same index in two frames are different points of
+the surface.
 
-All frames are read as .glb; those in .abc or .usdc are converted in memory, which takes two to four times the size of the
-file. So a frame must stay below 4 GiB as .glb, and the sequence file has what a .glb has: integers are floats, without those
-beyond 2^24, and there are no quads and no strings.
+All frames are read as .glb; those in .abc or .usdc are converted in memory, which takes two to four
+times the size of the file. So a frame must stay below 4 GiB as .glb, and the sequence file has what
+a .glb has: integers are floats, without those beyond 2^24, and there are no quads and no strings.
 
 Exit status:
   0    all frames are in the sequence file
@@ -976,13 +982,14 @@ pub(super) fn parse_shard(text: &str) -> Result<ShardChoice, String> {
 
 const VERIFY_STATUSES: &str = "\
 State of a frame:
-  done        the results have the bytes that were written, were made from the current input with the settings of
-              most frames of the sequence, and passed validation
+  done        the results have the bytes that were written, were made from the current input with
+              the settings of most frames of the sequence, and passed validation
   missing     a result does not exist, or there is no record of the frame
   damaged     a result was changed or replaced after it was written
-  stale       made from another version of the input, or of a frame averaged with it; or made with other settings,
-              or by another version of meniscus
-  violations  as done, but a check of the surface failed: converting again would give the same result
+  stale       made from another version of the input, or of a frame averaged with it; or made with
+              other settings, or by another version of meniscus
+  violations  as done, but a check of the surface failed: converting again would give the same
+              result
 
 Exit status:
   0    every frame is done
@@ -1028,12 +1035,13 @@ JSON: an object with the following; with --config a list of such objects; with F
                                      of the last daemon; at_ms: when it entered this state
   counts           the numbers of frames that are done, queued, retrying, waiting, failed
   failed, retrying, waiting, last_done, flawed
-                   frames, each with input, state, outputs, attempts, settings and at_ms, and if they
-                   are known reason, particles, seconds and flaws. waiting: files that are not yet
-                   complete; last_done: the newest first, five at most; flawed: those converted without
-                   some particles, or that failed validation. state: waiting, queued, done, retrying,
-                   failed, refused (because of other files), given_up (until the file changes or the daemon
-                   restarts), ignored (not a frame). settings: equal for frames that were converted with the same settings
+                   frames, each with input, state, outputs, attempts, settings and at_ms, and if
+                   they are known reason, particles, seconds and flaws. waiting: files that are not
+                   yet complete; last_done: the newest first, five at most; flawed: those converted
+                   without some particles, or that failed validation. state: waiting, queued, done,
+                   retrying, failed, refused (because of other files), given_up (until the file
+                   changes or the daemon restarts), ignored (not a frame). settings: equal for
+                   frames that were converted with the same settings
 Times that end in _ms are milliseconds since 1970.";
 
 // The options of `meniscus completions` and `meniscus man`.
