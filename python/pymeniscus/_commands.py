@@ -154,9 +154,7 @@ def render(inputs: Paths, output: str | os.PathLike[str], **options: Any) -> Pat
     CommandError
         If a picture could not be made.
     """
-    is_file = os.path.splitext(os.fspath(output))[1].lower() in (".png", ".exr")
-    target = {"output": output} if is_file else {"out": output}
-    status, printed, messages = _run(["render", *_flags({**options, **target}), "--", *_paths(inputs)])
+    status, printed, messages = _run(["render", *_flags({**options, "out": output}), "--", *_paths(inputs)])
     if status != 0:
         raise CommandError(status, messages)
     if not os.path.exists(output):

@@ -18,7 +18,7 @@ class OptionValues(TypedDict, total=False):
     Attributes
     ----------
     preset : Literal["fluid", "noisy", "splash", "granular", "preview", "paper", "auto", "sph", "flip", "mpm", "sand"]
-        A set of defaults for a kind of particles; other options override it [default: fluid]
+        A set of defaults for a kind of particles; other options override it, and their defaults below are those of fluid [default: fluid]
     spacing : float
         Distance d between neighbouring particles, in world units, positive [default: measured]
     voxel_size : float | str
@@ -50,7 +50,7 @@ class OptionValues(TypedDict, total=False):
     position_smoothing : float
         Move particles near the surface toward the mean of their neighbours by this fraction of the distance, 0 to 1 [default: 0.55]
     velocity_gain : float
-        Stretch each particle along its velocity by the distance that it moves in this time, in units of r_min; positive, for `anisotropy` velocity [default: 0.01]
+        For `anisotropy` velocity: stretch each particle by how far it moves in this time, relative to its r_min; positive [default: 0.01]
     void_threshold : float
         Fill gaps narrower than this between the surface and obstacles, in voxels, 0 to 4 [default: 1]
     velocity_scale : float
@@ -58,11 +58,11 @@ class OptionValues(TypedDict, total=False):
     temporal : int
         Average each surface with those of this many frames before and after it, along the motion of the particles, 0 to 3; particles are followed by their ids or, with `time_step`, by their velocities [default: 0]
     time_step : float
-        Seconds between two frames, 1e-9 to 1e9, for `temporal` with particles that have velocities and no ids
+        Seconds from one frame to the next (not the time step of the solver), 1e-9 to 1e9, for `temporal` with particles that have velocities and no ids
     drop_islands : int
         Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]
     fill_cavities : float
-        Fill enclosed cavities with less volume than this, in units of h³, 0 to 1000000 [default: 25 (d/h)³, which is 25 d³]
+        Fill enclosed cavities with less volume than this, in h³, 0 to 1000000 [default: 25 d³, which is 763 h³ on the default grid]
     clip : str | Sequence[float]
         Cut off everything outside the box x0,y0,z0,x1,y1,z1 (lower corner first), in the particles' unit of length
     contour : Literal["dual", "tetrahedra"]
@@ -76,9 +76,9 @@ class OptionValues(TypedDict, total=False):
     integrator : Literal["fast", "implicit", "explicit", "adaptive"]
         Time integrator of the smoothing [default: fast]
     laplacian_steps : int
-        Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are recomputed in their place [default: 3 (d/h)², 29 on the default grid]
+        Number of Laplacian steps before the biharmonic ones, 0 to 1000000; 0 only recomputes the distances [default: 3 (d/h)², 29 on the default grid]
     steps : int
-        Number of biharmonic steps, 0 to 1000000 [default: 1; explicit, adaptive: a larger number of smaller steps with the same total pseudo-time]
+        Number of biharmonic steps, 0 to 1000000 [default: 1; explicit, adaptive: as many as give the same total pseudo-time]
     step_size : float
         Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.01 (d/h)⁴; explicit, adaptive: 0.01]
     redistance_every : int

@@ -171,12 +171,7 @@ fn private_folder() -> Result<TempDir> {
 /// # Errors
 /// If the path has the extension of a result and is not a folder.
 pub(super) fn refuse_file_name(out: &Path) -> Result<()> {
-    if is_stdout(out) {
-        bail!(
-            "--out {}: only `meniscus convert` writes to the standard output: name a folder",
-            out.display()
-        );
-    }
+    refuse_stdout(out)?;
     match file_extension(out) {
         Some(extension) => bail!(
             "{}: expected a folder for the results, but .{extension} names a file: name a folder, such as {}",
@@ -185,6 +180,20 @@ pub(super) fn refuse_file_name(out: &Path) -> Result<()> {
         ),
         None => refuse_other_extension(out),
     }
+}
+
+/// Refuses the standard output.
+///
+/// # Errors
+/// If the path names it.
+pub(super) fn refuse_stdout(out: &Path) -> Result<()> {
+    if is_stdout(out) {
+        bail!(
+            "--out {}: only `meniscus convert` writes to the standard output: name a folder",
+            out.display()
+        );
+    }
+    Ok(())
 }
 
 /// Refuses the name of a file in another format, or with a misspelt extension. It would become a folder, which

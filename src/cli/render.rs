@@ -18,7 +18,7 @@ use crate::surface::options::Settings;
 
 use super::args::RenderArgs;
 use super::console::Console;
-use super::destination::{OutFolder, names_file, write_file};
+use super::destination::{OutFolder, names_file, refuse_stdout, write_file};
 use super::inputs::{SelectedSequence, selected_files, selected_of};
 use super::machine::thread_pool;
 use super::render_session::{
@@ -67,6 +67,7 @@ struct RequestedPictures<'a> {
 
 impl<'a> RequestedPictures<'a> {
     fn new(args: &'a RenderArgs, sequences: &[SelectedSequence]) -> Result<RequestedPictures<'a>> {
+        refuse_stdout(&args.out)?;
         let (folder, stem, format) = if names_file(&args.out) {
             let (folder, stem, extension) = named_picture(&args.out, &["png", "exr"])?;
             let format = OutputFormat::from_extension(extension).unwrap_or(OutputFormat::Png);

@@ -90,7 +90,7 @@ struct FrameStatus {
     /// The id of its settings.
     settings: String,
     at_ms: u64,
-    /// When the daemon tries the failed frame again; `None` if only a change of its file leads to that.
+    /// When the daemon tries the failed frame again; `None` if that is not stated.
     #[serde(skip)]
     next_try: Option<&'static str>,
 }

@@ -151,8 +151,8 @@ method_options! {
             #[value(named("FRACTION"))]
             position_smoothing: f64 in 0.0..=1.0,
 
-            /// For --anisotropy velocity: the more r_min a particle moves in this time, the more it is stretched
-            /// along its velocity; positive [default: 0.01]
+            /// For --anisotropy velocity: stretch each particle by how far it moves in this time, relative to
+            /// its r_min; positive [default: 0.01]
             #[value(named("SECONDS"))]
             velocity_gain: f64
                 => [OptionName::with_value("anisotropy", "velocity")],
@@ -203,8 +203,8 @@ method_options! {
             #[value(named("N"))]
             drop_islands: u32 in 0..=ISLAND_MAX,
 
-            /// Fill enclosed cavities with less volume than this, in h³, 0 to 1000000 [default: as many h³ as
-            /// 25 d³ are, 763 on the default grid]
+            /// Fill enclosed cavities with less volume than this, in h³, 0 to 1000000 [default: 25 d³, which is
+            /// 763 h³ on the default grid]
             #[value(named("VOLUME"))]
             fill_cavities: f64 in 0.0..=CAVITY_VOXELS_MAX,
 

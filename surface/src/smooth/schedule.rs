@@ -330,7 +330,7 @@ impl SmoothContext<'_> {
     fn adaptive(&mut self, count: u32) -> SmoothStats {
         let mut stats = SmoothStats::default();
         // 64 bits, so that many small steps accumulate without loss.
-        let mut time_left = f64::from(count) * self.config.steps.step_size;
+        let mut time_left = f64::from(count) * f64::from(self.config.steps.step_size as f32);
         while time_left > TIME_TOLERANCE {
             let region = FreeVoxels::new(&self.band.topology, &self.band.phi, FREE_WIDTH);
             let free_count = region.free_count(self.own);
