@@ -172,7 +172,7 @@ impl FrameState {
 pub(crate) enum FramePhase {
     /// Its file may still be written.
     Settling(Candidate),
-    /// Complete, but its sequence has no settings yet.
+    /// Complete, but its sequence has no settings yet, or it waits for the frames around it.
     Held,
     /// Waiting for the pipeline.
     Queued,

@@ -119,7 +119,7 @@ impl Core {
         self.failed.remove(id);
         self.set_phase(id, FramePhase::Done);
         self.doubt_done(id);
-        // The pipeline has written this record: it is kept here for the core, and the line of the log follows it.
+        // The record is kept here for the core, and the line of the log follows it.
         self.record(self.output_folder_of[id.root], RecordLine::Done(record), Some(log));
     }
 

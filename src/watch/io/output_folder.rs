@@ -169,7 +169,7 @@ impl Work for OutputFolderWorker {
     fn handle(&mut self, request: OutputRequest, report: &dyn Fn(Event)) {
         match request {
             OutputRequest::Record(line, log) => {
-                // The pipeline has written the record of a converted frame already.
+                // Records that the pipeline has written already are not written again.
                 self.stages.note(&line);
                 self.guard.records.keep(line);
                 self.write_records(false);
