@@ -11,7 +11,10 @@ fn commands() -> Vec<String> {
     let folder = tempdir().expect("a folder");
     let help = meniscus(folder.path(), &["--help"]).out;
     let listed = help.split("Commands:\n").nth(1).expect("a list").split("\n\n").next().expect("its lines");
-    let names = listed.lines().filter_map(|line| line.split_whitespace().next());
+    // Lines that continue a description are indented farther.
+    let entries =
+        listed.lines().filter_map(|line| line.strip_prefix("  ")).filter(|line| !line.starts_with(' '));
+    let names = entries.filter_map(|line| line.split_whitespace().next());
     let names: Vec<String> = names.filter(|name| *name != "help").map(str::to_owned).collect();
     assert!(names.len() > 5, "{names:?}");
     names

@@ -151,8 +151,8 @@ method_options! {
             #[value(named("FRACTION"))]
             position_smoothing: f64 in 0.0..=1.0,
 
-            /// For --anisotropy velocity: stretch each particle by how far it moves in this time, relative to
-            /// its r_min; positive [default: 0.01]
+            /// Stretch each particle along its velocity by how far it moves in this time, relative to its
+            /// r_min; positive, for --anisotropy velocity [default: 0.01]
             #[value(named("SECONDS"))]
             velocity_gain: f64
                 => [OptionName::with_value("anisotropy", "velocity")],
@@ -249,7 +249,7 @@ method_options! {
 
             /// Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.01
             /// (d/h)⁴; explicit, adaptive: 0.01]
-            #[value(named("SIZE"))]
+            #[value(named("FACTOR"))]
             step_size: f64 in STEP_SIZE_MIN..=STEP_SIZE_MAX,
 
             /// Recompute distances after this many biharmonic steps, 1 to 1000000 [default: 1; explicit,
