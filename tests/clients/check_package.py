@@ -195,7 +195,9 @@ def pages_are_clean():
 
 def commands_of_the_help():
     listed = run(PROGRAM, "--help").stdout.split("Commands:\n")[1].split("\n\n")[0]
-    return [line.split()[0] for line in listed.splitlines() if line.strip() and line.split()[0] != "help"]
+    # Lines that continue a description are indented farther.
+    entries = [line for line in listed.splitlines() if re.match("  [a-z]", line)]
+    return [line.split()[0] for line in entries if line.split()[0] != "help"]
 
 
 def completes(ask):
