@@ -15,7 +15,7 @@ use std::fs::{self, File};
 use std::io::{self, IsTerminal, Read, Write};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use meniscus_formats::listed;
 use tempfile::TempDir;
 
@@ -105,9 +105,7 @@ impl Destination {
             bail!("{name}: the extension of an output must be lower case: use {}", lower.display());
         }
         if formats.is_some_and(|formats| formats.iter().any(|other| *other != format)) {
-            bail!(
-                "{name}: --format asks for other files than .{extension}: leave --format out, or name a folder"
-            );
+            return Err(contradicts_format(&out, extension));
         }
         let Some(stem) = out.file_stem().and_then(|stem| stem.to_str()).map(str::to_owned) else {
             bail!("{name}: expected a name in UTF-8");
@@ -212,6 +210,12 @@ fn refuse_other_extension(out: &Path) -> Result<()> {
         "{name}: .{extension} is not an output format: use {written}; for a folder of this name, write {name}/ \
          or create it first"
     )
+}
+
+/// The error about a file that is not in the format of `--format`.
+pub(super) fn contradicts_format(out: &Path, extension: &str) -> anyhow::Error {
+    let name = out.display();
+    anyhow!("{name}: --format asks for other files than .{extension}: leave --format out, or name a folder")
 }
 
 /// Whether a path ends in a dot and letters, and is not a folder.

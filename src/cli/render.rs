@@ -8,7 +8,7 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, bail};
 
 use crate::pipeline::{
     self, CameraChoice, FrameFile, OutputFormat, PictureOptions, Viewpoint, check_outputs, encode_picture,
@@ -18,7 +18,7 @@ use crate::surface::options::Settings;
 
 use super::args::RenderArgs;
 use super::console::Console;
-use super::destination::{OutFolder, names_file, refuse_stdout, write_file};
+use super::destination::{OutFolder, contradicts_format, names_file, refuse_stdout, write_file};
 use super::inputs::{SelectedSequence, selected_files, selected_of};
 use super::machine::thread_pool;
 use super::render_session::{
@@ -69,13 +69,14 @@ impl<'a> RequestedPictures<'a> {
     fn new(args: &'a RenderArgs, sequences: &[SelectedSequence]) -> Result<RequestedPictures<'a>> {
         refuse_stdout(&args.out)?;
         let (folder, stem, format) = if names_file(&args.out) {
-            let (folder, stem, extension) = named_picture(&args.out, &["png", "exr"])?;
+            let named = named_picture(&args.out, &["png", "exr"]);
+            let (folder, stem, extension) = named.map_err(|error| {
+                let name = args.out.display();
+                anyhow!("{error}; for a folder of this name, write {name}/ or create it first")
+            })?;
             let format = OutputFormat::from_extension(extension).unwrap_or(OutputFormat::Png);
             if args.format.is_some_and(|other| other != format) {
-                bail!(
-                    "{}: --format asks for other files than .{extension}: leave --format out, or name a folder",
-                    args.out.display()
-                );
+                return Err(contradicts_format(&args.out, extension));
             }
             (folder, Some(stem), format)
         } else {

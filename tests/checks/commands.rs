@@ -245,7 +245,7 @@ fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
         _ => {}
     }
     let options: &[&str] = match words[..] {
-        [_, "status" | "why", ..] => &[],
+        [_, "status", ..] => &[],
         _ => &["--out", "-o", "--report", "--sequence"],
     };
     words.windows(2).filter(|pair| options.contains(&pair[0])).map(|pair| pair[1]).collect()
