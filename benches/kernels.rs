@@ -292,7 +292,7 @@ fn leaf_of_sphere(origin: IVec3, radius: f32) -> Leaf {
 /// Updates of free voxels per second, over all threads: passes times free voxels.
 fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
     let steps = SmoothSteps { steps: 1, step_size: 20.0, ..SmoothSteps::default() };
-    let config = SmoothConfig { steps, ..SmoothConfig::default() };
+    let config = SmoothConfig { smoothing: steps, ..SmoothConfig::default() };
     let mut band = shell.band.clone();
     let mut memory = Workspace::new(shell.leaf_count());
     let mut op = |count: u32| {

@@ -116,7 +116,7 @@ fn explicit(steps: u32) -> SmoothConfig {
         redistance_every: 50,
         ..SmoothSteps::default()
     };
-    SmoothConfig { steps, ..SmoothConfig::default() }
+    SmoothConfig { smoothing: steps, ..SmoothConfig::default() }
 }
 
 /// The noisy sphere and its bounds; `field` changes the field, given the distance and the position.

@@ -186,10 +186,7 @@ pub(super) fn refuse_file_name(out: &Path) -> Result<()> {
 /// If the path names it.
 pub(super) fn refuse_stdout(out: &Path) -> Result<()> {
     if is_stdout(out) {
-        bail!(
-            "--out {}: only `meniscus convert` writes to the standard output: name a folder",
-            out.display()
-        );
+        bail!("--out {}: only `meniscus convert` writes to the standard output: give a path", out.display());
     }
     Ok(())
 }
@@ -198,7 +195,7 @@ pub(super) fn refuse_stdout(out: &Path) -> Result<()> {
 /// the user hardly expects. A name of a folder may end in a dot and a number or a version, such as `run.v2`.
 ///
 /// # Errors
-/// If the path ends in a dot and letters, and is not a folder. The message says what to write instead.
+/// If the path [names a file](names_file). The message says what to write instead.
 fn refuse_other_extension(out: &Path) -> Result<()> {
     if !names_file(out) {
         return Ok(());
@@ -218,10 +215,15 @@ pub(super) fn contradicts_format(out: &Path, extension: &str) -> anyhow::Error {
     anyhow!("{name}: --format asks for other files than .{extension}: leave --format out, or name a folder")
 }
 
-/// Whether a path ends in a dot and letters, and is not a folder.
+/// Whether a path ends like the name of a file, with a dot and a word that is not a version, and is not a folder.
 pub(super) fn names_file(out: &Path) -> bool {
-    let is_alphabetic = |extension: &str| extension.bytes().all(|byte| byte.is_ascii_alphabetic());
-    out.extension().and_then(OsStr::to_str).is_some_and(is_alphabetic) && !is_existing_or_named_folder(out)
+    let is_number = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
+    let is_word = |extension: &str| {
+        extension.starts_with(|first: char| first.is_ascii_alphabetic())
+            && extension.bytes().all(|byte| byte.is_ascii_alphanumeric())
+            && !extension.strip_prefix(['v', 'V']).is_some_and(is_number)
+    };
+    out.extension().and_then(OsStr::to_str).is_some_and(is_word) && !is_existing_or_named_folder(out)
 }
 
 fn is_stdout(out: &Path) -> bool {

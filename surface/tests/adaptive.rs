@@ -45,8 +45,8 @@ fn total_time_is_the_number_of_steps_times_their_size() {
     let (start, bounds) = rasterized(&ball_with_finger());
     let smoothed = |steps, step_size, redistance_every| {
         let config = default_config(Integrator::Adaptive);
-        let steps = SmoothSteps { steps, step_size, redistance_every, ..config.steps };
-        let config = SmoothConfig { steps, ..config };
+        let steps = SmoothSteps { steps, step_size, redistance_every, ..config.smoothing };
+        let config = SmoothConfig { smoothing: steps, ..config };
         let mut band = start.clone();
         let report = smooth(&mut band, &bounds, &config, &mut |_| {});
         (bending_energy(&band), report.pass_count)

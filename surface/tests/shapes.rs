@@ -26,7 +26,7 @@ pub(crate) fn default_config(integrator: Integrator) -> SmoothConfig {
         Integrator::Fast | Integrator::Implicit => (5, 20.0, 1),
     };
     let steps = SmoothSteps { laplacian_steps: 15, integrator, steps, step_size, redistance_every };
-    SmoothConfig { steps, ..SmoothConfig::default() }
+    SmoothConfig { smoothing: steps, ..SmoothConfig::default() }
 }
 
 /// The three unions of spheres of particles given in voxels.

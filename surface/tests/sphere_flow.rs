@@ -67,7 +67,7 @@ fn thin_plate_smoothing_restores_a_noisy_sphere() {
     ] {
         let (mut band, bounds) = noisy_sphere();
         let steps = SmoothSteps { laplacian_steps: 0, integrator, steps, step_size, redistance_every };
-        let config = SmoothConfig { steps, ..SmoothConfig::default() };
+        let config = SmoothConfig { smoothing: steps, ..SmoothConfig::default() };
         smooth(&mut band, &bounds, &config, &mut |_| {});
         let volume = volume(&band) / ball_volume(RADIUS);
         let energy = bending_energy(&band) / (4.0 * PI);

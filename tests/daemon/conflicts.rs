@@ -125,9 +125,9 @@ fn output_does_not_replace_a_frame() {
     // No daemon runs that scans. When the other file is gone, so is the reason.
     let output = |arguments: &[&str]| scene.run(arguments).out;
     let status = output(&["status", "--out", "out"]);
-    assert!(status.contains("next try when a daemon starts"), "{status}");
+    assert!(status.contains("next try when the conflict is gone"), "{status}");
     let frame = output(&["status", "in/dam.1.ply", "--out", "out"]);
-    for text in ["not converted", "would replace", "next try  when a daemon starts"] {
+    for text in ["not converted", "would replace", "next try  when the conflict is gone"] {
         assert!(frame.contains(text), "{frame}");
     }
 }

@@ -24,7 +24,8 @@ fn commands() -> Vec<String> {
 fn options(command: &str) -> Vec<String> {
     let folder = tempdir().expect("a folder");
     let help = meniscus(folder.path(), &[command, "--help"]).out;
-    let starts = help.lines().map(str::trim_start).filter(|line| line.starts_with("--"));
+    let lines = help.lines().map(str::trim_start);
+    let starts = lines.map(|line| line.trim_start_matches("-o, ")).filter(|line| line.starts_with("--"));
     let names = starts.filter_map(|line| line.split([' ', '[', '=']).next());
     names.map(str::to_owned).collect()
 }

@@ -297,7 +297,13 @@ fn invalid_picture_arguments_are_refused() {
     for (arguments, words) in [
         (&["dam.1.ply"][..], &["--out"][..]),
         (&["missing.ply", "-o", "a.png"], &["missing.ply", "no such file"]),
-        (&["dam.1.ply", "-o", "a.jpg"], &["a.jpg", ".png or .exr"]),
+        (
+            &["dam.1.ply", "-o", "a.jpg"],
+            &["a.jpg", ".png or .exr", "for a folder of this name, write a.jpg/"],
+        ),
+        (&["dam.1.ply", "-o", "a.mp4"], &["a.mp4", ".png or .exr"]),
+        (&["dam.1.ply", "-o", "a.png", "--format", "exr"], &["a.png", "--format asks for other files"]),
+        (&["dam.1.ply", "-o", "-"], &["only `meniscus convert` writes to the standard output"]),
         (&["dam.1.ply", "dam.2.ply", "-o", "a.png"], &["2 frames", "--out"]),
         (&["dam.1.ply", "-o", "a.png", "--size", "1280"], &["--size", "1280x720"]),
         (&["dam.1.ply", "-o", "a.png", "--camera", "zoom=far"], &["zoom=`far`", "expected a number"]),

@@ -124,7 +124,7 @@ option_set! {
         #[arg(long, value_name = "VOXELS", allow_negative_numbers = true, value_parser = deviation())]
         pub(super) max_deviation: Option<f64>,
 
-        /// Write the particles unchanged, without a surface, as ply, or as vtp with --format vtp
+        /// Write the particles unchanged, without a surface, as ply or, if asked for, as vtp
         ///
         /// Every attribute keeps its name and type, and positions keep 64 bits. Options for surfaces are
         /// refused.
@@ -751,7 +751,7 @@ pub(super) struct SequenceArgs {
     #[arg(short, long, value_name = "FILE")]
     pub(super) out: PathBuf,
 
-    /// Frame rate of the sequence file, per second, more than 0 and at most 1000; use that of your scene
+    /// Frames per second of the sequence file, more than 0 and at most 1000; use those of your scene
     #[arg(long, value_name = "N", default_value_t = FPS, value_parser = parse_fps)]
     pub(super) fps: f64,
 

@@ -358,8 +358,10 @@ impl FrameStatus {
                 attempts: record.attempts,
                 settings: record.settings.clone(),
                 next_try: match record.state {
-                    UnfinishedState::Refused if is_running => Some("at the next scan"),
-                    UnfinishedState::Refused => Some("when a daemon starts"),
+                    UnfinishedState::Refused if is_running => {
+                        Some("when the conflict is gone: checked at each scan")
+                    }
+                    UnfinishedState::Refused => Some("when the conflict is gone and a daemon runs"),
                     UnfinishedState::AwaitsRestart => Some("when the file changes or the daemon restarts"),
                     _ => None,
                 },

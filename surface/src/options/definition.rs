@@ -237,8 +237,8 @@ method_options! {
             #[value(named("WHICH"))]
             integrator: Integrator,
 
-            /// Number of Laplacian steps before the biharmonic ones, 0 to 1000000; 0 only recomputes
-            /// the distances [default: 3 (d/h)², 29 on the default grid]
+            /// Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0,
+            /// distances are recomputed in their place [default: 3 (d/h)², 29 on the default grid]
             #[value(named("N"))]
             laplacian_steps: u32 in 0..=STEPS_MAX,
 
@@ -249,7 +249,7 @@ method_options! {
 
             /// Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.01
             /// (d/h)⁴; explicit, adaptive: 0.01]
-            #[value(named("FACTOR"))]
+            #[value(named("TIME"))]
             step_size: f64 in STEP_SIZE_MIN..=STEP_SIZE_MAX,
 
             /// Recompute distances after this many biharmonic steps, 1 to 1000000 [default: 1; explicit,

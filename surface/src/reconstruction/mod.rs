@@ -196,7 +196,7 @@ fn longest_of(shape_stats: &ShapeStats) -> f32 {
 fn smooth_config(settings: &Settings, obstacles: &Obstacles) -> smooth::SmoothConfig {
     smooth::SmoothConfig {
         redistances_first: !obstacles.is_empty(),
-        steps: settings.smoothing,
+        smoothing: settings.smoothing,
         pin_isolated_spheres: can_spheres_shrink(settings),
         // The offset moves the surface to the level φ = offset, so distances must be accurate up to there.
         distances_voxels: (settings.offset / settings.voxel_size).abs() as f32,

@@ -65,6 +65,13 @@ pub struct SmoothSteps {
     pub redistance_every: u32,
 }
 
+impl SmoothSteps {
+    /// The size of a biharmonic step in the precision of voxels.
+    fn step_size(&self) -> f32 {
+        self.step_size as f32
+    }
+}
+
 impl Default for SmoothSteps {
     /// No steps.
     fn default() -> SmoothSteps {
@@ -84,7 +91,7 @@ pub struct SmoothConfig {
     /// True if φ_0 is no distance, as next to obstacles: φ is redistanced first.
     pub redistances_first: bool,
     /// The steps.
-    pub steps: SmoothSteps,
+    pub smoothing: SmoothSteps,
     /// Pins the radius of isolated spheres in implicit steps, so that they keep the radius left by the
     /// Laplacian steps. Explicit steps keep it without pinning. With pinning, thin filaments of the smallest
     /// particles become slightly thicker and rougher.
@@ -137,7 +144,7 @@ pub fn smooth(
 pub fn restore(band: &mut NarrowBand, bounds: &Bounds, config: &SmoothConfig) {
     let without_steps = SmoothConfig {
         redistances_first: false,
-        steps: SmoothSteps { laplacian_steps: 0, steps: 0, ..config.steps },
+        smoothing: SmoothSteps { laplacian_steps: 0, steps: 0, ..config.smoothing },
         ..*config
     };
     smooth(band, bounds, &without_steps, &mut |_| {});
@@ -167,7 +174,7 @@ pub fn smooth_laplacian_only(band: &mut NarrowBand, bounds: &Bounds, steps: u32)
     const REDISTANCE_EVERY: u32 = 50;
     let steps =
         SmoothSteps { laplacian_steps: steps, integrator: Integrator::Explicit, ..SmoothSteps::default() };
-    let config = SmoothConfig { steps, ..SmoothConfig::default() };
+    let config = SmoothConfig { smoothing: steps, ..SmoothConfig::default() };
     let mut workspace = Workspace::new(band.topology.len());
     for op in schedule(&config, REDISTANCE_EVERY) {
         if matches!(op, SmoothOp::Laplacian { .. }) {

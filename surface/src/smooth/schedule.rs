@@ -134,10 +134,10 @@ impl SmoothOp {
 /// possible.
 pub fn schedule(config: &SmoothConfig, reach_max: u32) -> Vec<SmoothOp> {
     let mut schedule = Vec::new();
-    if config.redistances_first && config.steps.laplacian_steps > 0 {
+    if config.redistances_first && config.smoothing.laplacian_steps > 0 {
         schedule.push(SmoothOp::Restore);
     }
-    match config.steps.laplacian_steps {
+    match config.smoothing.laplacian_steps {
         // Noise in the values that the first step holds fixed must be removed: otherwise a sphere with a
         // radius of 20 voxels would lose one percent of its volume.
         0 => schedule.push(SmoothOp::Restore),
@@ -145,16 +145,16 @@ pub fn schedule(config: &SmoothConfig, reach_max: u32) -> Vec<SmoothOp> {
     }
     let pins_peaks = config.pin_isolated_spheres;
     if pins_peaks
-        && config.steps.integrator.is_implicit()
-        && config.steps.laplacian_steps > 0
-        && config.steps.steps > 0
+        && config.smoothing.integrator.is_implicit()
+        && config.smoothing.laplacian_steps > 0
+        && config.smoothing.steps > 0
     {
         // Laplacian steps leave a kink at |φ| = 4, which would pull on the free voxels.
         schedule.push(SmoothOp::Restore);
     }
     let mut since_redistance = 0;
-    for step in 0..config.steps.steps {
-        match config.steps.integrator {
+    for step in 0..config.smoothing.steps {
+        match config.smoothing.integrator {
             Integrator::Fast => {
                 let most = reach_max.saturating_sub(region_reach(pins_peaks)) / 2;
                 let passes = params(config, step).passes_max();
@@ -164,8 +164,8 @@ pub fn schedule(config: &SmoothConfig, reach_max: u32) -> Vec<SmoothOp> {
             Integrator::Implicit => schedule.push(SmoothOp::Implicit),
             Integrator::Explicit | Integrator::Adaptive => since_redistance += 1,
         }
-        if (step + 1) % config.steps.redistance_every == 0 || step + 1 == config.steps.steps {
-            if config.steps.integrator == Integrator::Adaptive {
+        if (step + 1) % config.smoothing.redistance_every == 0 || step + 1 == config.smoothing.steps {
+            if config.smoothing.integrator == Integrator::Adaptive {
                 schedule.push(SmoothOp::Adaptive { count: since_redistance });
             } else {
                 let explicit = portions(since_redistance, reach_max / 2);
@@ -198,7 +198,7 @@ fn portions(total: u32, most: u32) -> impl Iterator<Item = (u32, u32)> {
 }
 
 fn params(config: &SmoothConfig, step: u32) -> StepParams {
-    StepParams::new(config.steps.step_size as f32, step + 1 == config.steps.steps)
+    StepParams::new(config.smoothing.step_size(), step + 1 == config.smoothing.steps)
 }
 
 /// Auxiliary fields passed between operations. Their meaning depends on the integrator.
@@ -276,7 +276,7 @@ impl SmoothContext<'_> {
             SmoothOp::Implicit => {
                 let region = free_region(&band.topology, &band.phi, config.pin_isolated_spheres);
                 let free_count = region.free_count(*own);
-                let step_size = config.steps.step_size as f32;
+                let step_size = config.smoothing.step_size();
                 let solved =
                     implicit::step(band, bounds, region, step_size, CG_TOLERANCE, &mut workspace.first);
                 let voxel_update_count = free_count * solved.pass_count() as u64;
@@ -318,7 +318,7 @@ impl SmoothContext<'_> {
                 self.band,
                 self.bounds,
                 &region,
-                self.config.steps.step_size as f32,
+                self.config.smoothing.step_size(),
                 self.workspace,
                 self.own,
             );
@@ -330,7 +330,7 @@ impl SmoothContext<'_> {
     fn adaptive(&mut self, count: u32) -> SmoothStats {
         let mut stats = SmoothStats::default();
         // 64 bits, so that many small steps accumulate without loss.
-        let mut time_left = f64::from(count) * f64::from(self.config.steps.step_size as f32);
+        let mut time_left = f64::from(count) * f64::from(self.config.smoothing.step_size());
         while time_left > TIME_TOLERANCE {
             let region = FreeVoxels::new(&self.band.topology, &self.band.phi, FREE_WIDTH);
             let free_count = region.free_count(self.own);
@@ -360,7 +360,7 @@ fn free_region(topology: &Topology, phi: &Field, pins_peaks: bool) -> FreeVoxels
 }
 
 fn sweeps_after(config: &SmoothConfig) -> Sweeps {
-    if config.steps.integrator.is_implicit() && !config.pin_isolated_spheres {
+    if config.smoothing.integrator.is_implicit() && !config.pin_isolated_spheres {
         Sweeps { second_order_within: IMPLICIT_SECOND_ORDER_WITHIN, ..Sweeps::accurate(REDISTANCE_SWEEPS) }
     } else {
         Sweeps::accurate(REDISTANCE_SWEEPS)
@@ -417,7 +417,7 @@ mod tests {
     fn config(integrator: Integrator, steps: u32, redistance_every: u32) -> SmoothConfig {
         let step_size = if integrator == Integrator::Explicit { 0.01 } else { 20.0 };
         let steps = SmoothSteps { laplacian_steps: 15, integrator, steps, step_size, redistance_every };
-        SmoothConfig { steps, ..SmoothConfig::default() }
+        SmoothConfig { smoothing: steps, ..SmoothConfig::default() }
     }
 
     #[test]
@@ -452,8 +452,8 @@ mod tests {
     fn schedule_ends_with_exact_distances_if_requested() {
         let last = |integrator, steps, laplacian_steps, distances_voxels| {
             let config = config(integrator, steps, 1);
-            let steps = SmoothSteps { laplacian_steps, ..config.steps };
-            let config = SmoothConfig { distances_voxels, steps, ..config };
+            let steps = SmoothSteps { laplacian_steps, ..config.smoothing };
+            let config = SmoothConfig { distances_voxels, smoothing: steps, ..config };
             let schedule = schedule(&config, 48);
             schedule[schedule.len().saturating_sub(3)..].to_vec()
         };
