@@ -76,7 +76,7 @@ class OptionValues(TypedDict, total=False):
     integrator : Literal["fast", "implicit", "explicit", "adaptive"]
         Time integrator of the smoothing [default: fast]
     laplacian_steps : int
-        Number of Laplacian steps before the biharmonic ones, 0 to 1000000; 0 only recomputes the distances [default: 3 (d/h)², 29 on the default grid]
+        Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are recomputed in their place [default: 3 (d/h)², 29 on the default grid]
     steps : int
         Number of biharmonic steps, 0 to 1000000 [default: 1; explicit, adaptive: as many as give the same total pseudo-time]
     step_size : float
