@@ -100,10 +100,7 @@ impl Destination {
         let Some(format) = format else {
             bail!("{name}: convert does not write pictures: use `meniscus render`, or --preview {extension}");
         };
-        if out.extension().is_some_and(|current| current != extension) {
-            let lower = out.with_extension(extension);
-            bail!("{name}: the extension of an output must be lower case: use {}", lower.display());
-        }
+        refuse_capitals(&out, extension)?;
         if formats.is_some_and(|formats| formats.iter().any(|other| *other != format)) {
             return Err(contradicts_format(&out, extension));
         }
@@ -207,6 +204,18 @@ fn refuse_other_extension(out: &Path) -> Result<()> {
         "{name}: .{extension} is not an output format: use {written}; for a folder of this name, write {name}/ \
          or create it first"
     )
+}
+
+/// Refuses an extension with capital letters: the file would have another name. `extension` has none.
+///
+/// # Errors
+/// If the path's extension is another one.
+pub(super) fn refuse_capitals(out: &Path, extension: &str) -> Result<()> {
+    if out.extension().is_some_and(|current| current != extension) {
+        let (name, lower) = (out.display(), out.with_extension(extension));
+        bail!("{name}: the extension of an output must be lower case: use {}", lower.display());
+    }
+    Ok(())
 }
 
 /// The error about a file that is not in the format of `--format`.

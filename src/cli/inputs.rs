@@ -449,22 +449,26 @@ impl MatchedInputs {
             let mut hints = Vec::new();
             if self.mesh_count() > mesh_count_before {
                 hints.push(
-                    "it has meshes: `render` and `contact-sheet` show them, and `convert` takes their points if you give \
+                    "the folder has meshes: `render` and `contact-sheet` show them, and `convert` takes their points if you give \
                      them by name or by a pattern"
                         .to_owned(),
                 );
             } else if files.iter().any(|path| is_mesh(path)) {
-                hints.push("it has meshes: `render` and `contact-sheet` show them".to_owned());
+                hints.push("the folder has meshes: `render` and `contact-sheet` show them".to_owned());
             }
             if files.iter().any(|path| is_level_set(path)) {
                 hints.push(format!(
-                    "`convert` takes level sets by name, or by a pattern such as '{}', and `contact-sheet` shows them",
+                    "the folder has level sets: `convert` takes them by name, or by a pattern such as '{}', and `render` and \
+                     `contact-sheet` show them",
                     folder.join("*.vdb").display()
                 ));
             }
             let subfolder_count = subfolder_count(folder);
             if hints.is_empty() && subfolder_count > 0 {
-                hints.push(format!("it has {}: give them by name", pluralize(subfolder_count, "sub-folder")));
+                hints.push(format!(
+                    "the folder has {}: give them by name",
+                    pluralize(subfolder_count, "sub-folder")
+                ));
             }
             if hints.is_empty() && files.is_empty() {
                 bail!("{}: the folder is empty", folder.display());

@@ -27,7 +27,7 @@ use crate::surface::space::Lattice;
 
 use super::args::{FormatArgs, MethodArgs, MethodOptionArgs, PictureArgs};
 use super::console::Console;
-use super::destination::folder_of;
+use super::destination::{folder_of, refuse_capitals};
 use super::inputs::{MatchedInputs, find_with_others};
 use super::machine::memory_bytes;
 use super::quantities::PictureSize;
@@ -364,6 +364,7 @@ pub(super) fn named_picture<'e>(file: &Path, extensions: &[&'e str]) -> Result<(
     let Some(extension) = extensions.iter().find(|known| **known == extension) else {
         bail!("{}: expected a name that ends with .{}", file.display(), extensions.join(" or ."));
     };
+    refuse_capitals(file, extension)?;
     let Some(stem) = file.file_stem().and_then(|stem| stem.to_str()) else {
         bail!("{}: expected a name in UTF-8", file.display());
     };

@@ -118,7 +118,7 @@ pub(super) fn warn_of_siblings(sequence: &Sequence, choices: &MethodOptions, con
     if count > 1 {
         let (what, remedy) = measured_by(choices);
         console.warning(format_args!(
-            "{}: its sequence has {count} frames, and the {what} is measured on this one alone; \
+            "{}: its sequence has {count} frames, but only this one is measured for the {what}; \
              name the whole sequence and select frames with --frames, or give {remedy}",
             frame.name()
         ));

@@ -60,7 +60,7 @@ fn contradictory_arguments_are_refused() {
         (
             &["level_sets"],
             &[
-                "it has meshes: `render` and",
+                "the folder has meshes: `render` and",
                 "`convert` takes level sets by name, or by a pattern such as 'level_sets/*.vdb', and",
             ],
         ),

@@ -301,6 +301,7 @@ fn invalid_picture_arguments_are_refused() {
             &["dam.1.ply", "-o", "a.jpg"],
             &["a.jpg", ".png or .exr", "for a folder of this name, write a.jpg/"],
         ),
+        (&["dam.1.ply", "-o", "a.PNG"], &["must be lower case: use a.png"]),
         (&["dam.1.ply", "-o", "a.mp4"], &["a.mp4", ".png or .exr"]),
         (&["dam.1.ply", "-o", "a.png", "--format", "exr"], &["a.png", "--format asks for other files"]),
         (&["dam.1.ply", "-o", "-"], &["only `meniscus convert` writes to the standard output"]),

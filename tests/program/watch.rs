@@ -234,8 +234,7 @@ fn sub_folders_are_named_if_there_are_no_other_frames() {
         write_sequence(&path.join("in").join(take), 1, 1);
     }
     let result = meniscus(path, &["watch", "in", "--out", "in/out", "--once"]);
-    let reason =
-        "there are no frames to convert: it has 2 sub-folders, which are not watched: give --pattern '**'";
+    let reason = "there are no frames to convert: the folder has 2 sub-folders, which are not watched: give --pattern '**'";
     assert!(result.status == 2 && result.err.contains(reason), "{}", result.err);
 }
 

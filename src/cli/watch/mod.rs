@@ -203,7 +203,10 @@ fn unwatched_folders(watch: &Watch) -> Option<String> {
     let folders = entries.map(|entry| entry.path()).filter(|path| path.is_dir() && !is_hidden(path));
     let count = folders.filter(|path| *path != watch.outputs.folder).count();
     (count > 0).then(|| {
-        format!("it has {}, which are not watched: give --pattern '**'", pluralize(count, "sub-folder"))
+        format!(
+            "the folder has {}, which are not watched: give --pattern '**'",
+            pluralize(count, "sub-folder")
+        )
     })
 }
 
