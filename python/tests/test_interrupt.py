@@ -102,7 +102,8 @@ def test_memory_is_flat():
                 else:
                     raise SystemExit("not refused")
             return made.vertices.sum() + made.attributes["velocity"].sum() + made.level_set.sample(points).sum()
-        for _ in range(10):
+        # Each thread takes memory when it first works, and on a busy machine some work late.
+        for _ in range({calls // 3}):
             call()
         early = resident()
         for _ in range({calls}):
