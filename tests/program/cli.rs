@@ -61,7 +61,7 @@ fn contradictory_arguments_are_refused() {
             &["level_sets"],
             &[
                 "the folder has meshes: `render` and",
-                "`convert` takes level sets by name, or by a pattern such as 'level_sets/*.vdb', and",
+                "the folder has level sets: `convert` takes them by name, or by a pattern such as 'level_sets/*.vdb', and",
             ],
         ),
     ] {

@@ -21,7 +21,7 @@ fn commands() -> Vec<String> {
 }
 
 /// The options that the help of a command lists.
-fn options(command: &str) -> Vec<String> {
+pub(crate) fn options(command: &str) -> Vec<String> {
     let folder = tempdir().expect("a folder");
     let help = meniscus(folder.path(), &[command, "--help"]).out;
     let lines = help.lines().map(str::trim_start);

@@ -12,7 +12,7 @@ mod flicker; // the flicker of surfaces: known spheres, in meshes of every forma
 mod info; // the command that describes files
 mod level_sets; // level sets in .vdb as inputs
 mod library; // the library example gives the results of the command
-mod manual; // man pages and shell completions cover every command and option
+pub(crate) mod manual; // man pages and shell completions cover every command and option
 mod names; // names of frames and results: frame numbers, single files, pipes, clashes
 mod obstacles; // obstacles: contact without gaps, from meshes to reports (paper, Fig. 15 and 16)
 mod offset; // surface offset: position and guarantees
