@@ -4,16 +4,16 @@
 //! ```text
 //!   frame t − 1            frame t              frame t + 1
 //!     φ(x − u⁻)    ◀──────    x    ──────▶      φ(x + u⁺)       the particles carry a voxel x to both
-//!         ¼                   ½                     ¼           binomial weights
+//!         ⅓                   ⅓                     ⅓           equal weights
 //! ```
 //!
 //! What a surface does not share with its neighbours in time is mostly noise of the reconstruction. The
 //! particles carry the surface, so the noise can be averaged along their motion without moving the fluid:
 //!
-//! φ(x) += Σ w_k c_k(x) (φ_k(x + u_k(x)) − φ(x))
+//! φ(x) += w Σ c_k(x) (φ_k(x + u_k(x)) − φ(x))
 //!
-//! Here u_k is the mean displacement of the particles around x to the frame k steps away, w_k the binomial
-//! weight, and c_k the confidence. The confidence falls to zero where particles appear or vanish, where the
+//! Here w is 1 / (2 N + 1), u_k the mean displacement of the particles around x to the frame k steps away, and
+//! c_k the confidence. The confidence falls to zero where particles appear or vanish, where the
 //! displacements of neighbouring particles scatter, and where the level sets disagree by about a spacing: there
 //! the topology changes, ids were used again, or velocities are much too large.
 //!
@@ -34,7 +34,7 @@ use rayon::prelude::*;
 
 use crate::attributes::{BandAttribute, Support, interpolate_to_band};
 use crate::cancel::checkpoint;
-use crate::grid::{LEAF_VOXELS, Leaf, voxel_in_leaf};
+use crate::grid::{LEAF_VOXELS, Leaf, LeafMask, NO_LEAF, negative_masks, voxel_in_leaf};
 use crate::level_set::NarrowBand;
 use crate::motion::{MovingParticles, TrackedParticles};
 use crate::parallel::Loops as _;
@@ -61,10 +61,6 @@ const DISAGREEMENT: [f32; 2] = [1.0, 2.0];
 
 /// Share of the particles around a voxel, by weight, that cannot be followed.
 const LOST: [f32; 2] = [0.1, 0.5];
-
-/// The most that φ changes, in voxels. So a voxel that is farther from the surface stays on its side of it, and no
-/// piece appears away from the frame's own fluid.
-const CHANGE_MAX: f32 = 1.0;
 
 /// A frame with which its neighbours in time are averaged: its own level set, and its particles as given.
 pub struct TimedFrame {
@@ -114,6 +110,13 @@ pub struct TemporalConfig {
     pub lattice: Lattice,
 }
 
+impl TemporalConfig {
+    /// The weight of each of the 2 N + 1 frames.
+    fn weight(&self) -> f32 {
+        ((2 * self.frames + 1) as f32).recip()
+    }
+}
+
 /// What averaging did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 #[non_exhaustive]
@@ -159,15 +162,16 @@ pub fn average(
     let carried = followed.iter().zip(moves).map(|(other, moves)| Carried {
         moves,
         band: &other.frame.band,
-        weight: binomial(config.frames, other.steps),
+        weight: config.weight(),
     });
     let carried: Vec<Carried> = carried.collect();
+    let apart = apart_from_fluid(band);
     let origins = band.topology.origins();
     let leaves = band.phi.leaves.par_iter_mut().zip(origins).enumerate().halved();
     let parts: Vec<Changes> = leaves
         .map(|(index, (leaf, &origin))| {
             checkpoint();
-            average_leaf(leaf, index, origin, &carried, half_width, spacing_voxels)
+            average_leaf(leaf, index, origin, &carried, &apart[index], half_width, spacing_voxels)
         })
         .collect();
     let Changes { voxel_count, confidence, squares } =
@@ -180,14 +184,6 @@ pub fn average(
         confidence: confidence / (count * weights),
         change: (squares / count).sqrt(),
     }
-}
-
-/// The weight of a frame that is `steps` away, of those of the 2 N + 1 frames: ¼ ½ ¼ for N = 1.
-fn binomial(frames: u32, steps: i32) -> f32 {
-    let choose =
-        |n: u32, k: u32| (0..k).fold(1.0, |product, i| product * f64::from(n - i) / f64::from(i + 1));
-    let Some(below) = frames.checked_sub(steps.unsigned_abs()) else { return 0.0 };
-    (choose(2 * frames, below) / f64::from(1u32 << (2 * frames))) as f32
 }
 
 /// Another frame, and where the particles carry each voxel.
@@ -220,6 +216,7 @@ fn average_leaf(
     index: usize,
     origin: IVec3,
     carried: &[Carried],
+    apart: &LeafMask,
     half_width: f32,
     spacing_voxels: f32,
 ) -> Changes {
@@ -255,13 +252,28 @@ fn average_leaf(
             changes.confidence += f64::from(confidence);
         }
     }
-    for (phi, changed) in leaf.values.iter_mut().zip(changed) {
-        let changed = changed.clamp(-CHANGE_MAX, CHANGE_MAX);
+    for (offset, (phi, changed)) in leaf.values.iter_mut().zip(changed).enumerate() {
+        let is_ghost = apart.contains(offset) && *phi + changed < 0.0;
+        let changed = if is_ghost { 0.0 } else { changed };
         changes.voxel_count += usize::from(phi.abs() < half_width);
         changes.squares += f64::from(changed) * f64::from(changed);
         *phi += changed;
     }
     changes
+}
+
+/// The voxels outside whose face neighbours are all outside. If they came inside, pieces of a voxel might appear where
+/// the frame has no fluid.
+fn apart_from_fluid(band: &NarrowBand) -> Vec<LeafMask> {
+    let outside: Vec<LeafMask> = negative_masks(&band.phi).iter().map(LeafMask::complement).collect();
+    let neighbors = band.topology.neighbors().par_iter().zip(&outside).halved();
+    let apart = neighbors.map(|(neighbors, mask)| {
+        mask.surrounded(neighbors.map(|neighbor| match neighbor {
+            NO_LEAF => &LeafMask::FULL,
+            neighbor => &outside[neighbor as usize],
+        }))
+    });
+    apart.collect()
 }
 
 /// Falls from 1 to 0 while `value` rises from `from` to `to`, with zero slope at both ends.

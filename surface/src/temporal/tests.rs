@@ -5,6 +5,7 @@ use std::sync::Arc;
 use glam::{DQuat, DVec3};
 
 use super::*;
+use crate::grid::{FACE_STEPS, offset_in_leaf};
 use crate::mesh::PositionRounding;
 use crate::obstacle::Obstacles;
 use crate::options::{MethodOptions, Settings};
@@ -124,7 +125,7 @@ fn noise_is_averaged_along_velocities() {
     assert_eq!(surface.report.temporal.frame_count, 2);
     assert!(surface.report.temporal.confidence > 0.95, "{:?}", surface.report.temporal);
     let [without, with] = [alone(&middle), surface].map(|surface| roughness(&surface, edge));
-    // Weights of ¼ ½ ¼ multiply the deviation of independent noise by 0.61.
+    // Equal weights multiply the deviation of independent noise by 0.58.
     assert!(with < 0.75 * without, "{with} instead of {without}");
 }
 
@@ -223,7 +224,8 @@ fn wave_stays_where_it_is() {
             let [before, middle, after] = [0, 1, 2].map(given);
             let alone = errors(&alone(&middle), phase);
             let averaged = errors(&averaged(&middle, [Some(&before), Some(&after)]), phase);
-            assert!((averaged.1 - alone.1).abs() < 0.012, "{phase}: {averaged:?}, {alone:?}");
+            // The other frames, which have two thirds of the weight, differ by the curvature of the path in time.
+            assert!((averaged.1 - alone.1).abs() < 0.016, "{phase}: {averaged:?}, {alone:?}");
             for (square, (deviation, mean)) in squares.iter_mut().zip([alone, averaged]) {
                 *square += deviation * deviation + mean * mean;
             }
@@ -247,9 +249,9 @@ fn no_other_frames_change_nothing() {
     assert!(averaged(&unknown, [Some(&unknown), None]).mesh == surface.mesh);
 }
 
-/// However the other frames differ, no voxel changes by more than one voxel.
+/// However the other frames differ, a voxel comes inside only beside one that was inside.
 #[test]
-fn changes_are_limited() {
+fn fluid_appears_only_beside_fluid() {
     let own = block(8, 0.0, 1);
     let given = Given { points: own.clone(), ids: ids(own.len()), velocities: None };
     let layer = own.iter().filter(|at| at.z < 0.5 * SPACING).map(|at| *at + 8.0 * SPACING * DVec3::Z);
@@ -262,10 +264,24 @@ fn changes_are_limited() {
     let config = TemporalConfig { frames: 1, seconds: None, spacing: SPACING, lattice };
     let mut band = NarrowBand::clone(&timed.band);
     average(&mut band, &timed, &others, &config);
-    let pairs = band.phi.leaves.iter().zip(&timed.band.phi.leaves);
-    let changes = pairs.flat_map(|(after, before)| after.values.iter().zip(&before.values));
-    let most = changes.map(|(after, before)| (after - before).abs()).fold(0.0, f32::max);
-    assert!((most - CHANGE_MAX).abs() < 1e-4, "{most}");
+    let is_inside = |band: &NarrowBand, voxel: IVec3| {
+        let (leaf, local) = band.topology.find_voxel(voxel)?;
+        Some(band.phi.leaves[leaf].values[offset_in_leaf(local)] < 0.0)
+    };
+    let voxels = band
+        .topology
+        .origins()
+        .iter()
+        .flat_map(|&origin| (0..LEAF_VOXELS).map(move |offset| origin + voxel_in_leaf(offset)));
+    let appeared = |voxel: &IVec3| {
+        is_inside(&band, *voxel) == Some(true) && is_inside(&timed.band, *voxel) == Some(false)
+    };
+    let appeared: Vec<IVec3> = voxels.filter(appeared).collect();
+    assert!(appeared.len() > 100, "{}", appeared.len());
+    for voxel in appeared {
+        let beside = |step: &IVec3| is_inside(&timed.band, voxel + *step) == Some(true);
+        assert!(FACE_STEPS.iter().any(beside), "{voxel}");
+    }
 }
 
 /// A drop that exists in the middle frame only keeps its volume, and one that exists in the others only leaves
@@ -320,13 +336,6 @@ fn false_motions_are_not_followed() {
         assert!(found.temporal.confidence < most, "{:?}", found.temporal);
         assert!((found.mesh.volume / alone - 1.0).abs() < 0.02);
     }
-}
-
-#[test]
-fn weights_are_binomial() {
-    assert_eq!([-1, 0, 1, 2].map(|steps| binomial(1, steps)), [0.25, 0.5, 0.25, 0.0]);
-    let all: f32 = (-3..=3).map(|steps| binomial(3, steps)).sum();
-    assert_eq!((all, binomial(3, 3), binomial(2, 1)), (1.0, 1.0 / 64.0, 0.25));
 }
 
 /// The spline passes through the voxels and reproduces quadratic functions.
