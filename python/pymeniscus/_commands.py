@@ -140,7 +140,8 @@ def render(inputs: Paths, output: str | os.PathLike[str], **options: Any) -> Pat
         Level sets in .vdb, or anything that `convert` takes.
     output : path-like
         A .png or .exr file for one frame, or the folder for the pictures of any number of frames. A folder
-        whose name ends like that of a file, such as ``shots.final``, must exist.
+        whose name ends like that of a file, such as ``shots.final``, must exist, or be a string that
+        ends with ``/``.
     **options
         The options of the command with ``_`` for ``-``: ``size="1920x1080"``, ``camera="azimuth=60"``,
         ``particles=True`` and so on.

@@ -48,7 +48,8 @@ pub(super) struct Batch<'a> {
 /// The outcomes of frames.
 #[derive(Default)]
 struct Outcomes {
-    /// The number of frames with an outcome so far. These are the first frames of the batch.
+    /// The number of frames that were counted so far, with those that never entered the pipeline. These are the
+    /// first frames of the batch.
     noted_count: usize,
     done_count: usize,
     /// Frames that were converted but failed validation.
@@ -117,7 +118,7 @@ impl<'a> Batch<'a> {
         self.record.add_sequence(record)
     }
 
-    /// Converts all added frames. Updates the USD stage of `--stage` after each of them.
+    /// Converts all added frames. Meanwhile updates the USD stage of `--stage` from time to time.
     pub(super) fn run_pipeline(&mut self, mut stage: Option<&mut UsdStageWriter>, console: &mut Console) {
         let items = std::mem::take(&mut self.items);
         let first_impossible = items.iter().position(|item| item.frame.is_err());
@@ -255,7 +256,7 @@ impl<'a> Batch<'a> {
         }
     }
 
-    /// The number of frames with an outcome.
+    /// The number of frames that were counted.
     pub(super) fn frame_count(&self) -> usize {
         self.outcomes.noted_count
     }

@@ -199,7 +199,7 @@ impl ConvertPlan {
     /// Converts the frames, and combines them into sequence files.
     fn run(&self, mut batch: Batch, folder: OutFolder, console: &mut Console) -> Result<CommandOutcome> {
         for selected in &self.selection.sequences {
-            self.add(&mut batch, selected, console)?;
+            self.add_to_batch(&mut batch, selected, console)?;
         }
         if self.options.temporal.is_some_and(|reach| reach > 0) && batch.lacks_frames_around() {
             console.warning(format_args!(
@@ -221,11 +221,11 @@ impl ConvertPlan {
         batch.run_pipeline(stage.as_mut(), console);
         let (frames, frame_count) = (batch.sequence_frames().to_vec(), batch.frame_count());
         let pool = Arc::clone(&batch.pool);
-        let mut verdict = batch.finish(console);
+        let mut outcome = batch.finish(console);
         if let Some(stage) = stage {
-            verdict = stage.finish(verdict, console);
+            outcome = stage.finish(outcome, console);
         }
-        Ok(pool.install(|| self.sequence_files.write(&frames, frame_count, verdict, console)))
+        Ok(pool.install(|| self.sequence_files.write(&frames, frame_count, outcome, console)))
     }
 
     /// Adds the frames of a sequence to a batch, with the settings that they share.
@@ -233,7 +233,12 @@ impl ConvertPlan {
     /// # Errors
     /// If the options are invalid for every frame. A sequence whose spacing or camera cannot be determined is not
     /// an error: its frames are reported as failed.
-    fn add(&self, batch: &mut Batch, selected: &SelectedSequence, console: &mut Console) -> Result<()> {
+    fn add_to_batch(
+        &self,
+        batch: &mut Batch,
+        selected: &SelectedSequence,
+        console: &mut Console,
+    ) -> Result<()> {
         let SelectedSequence { sequence, selected } = selected;
         let mut measured = None;
         let settings = match self.job {

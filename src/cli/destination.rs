@@ -136,10 +136,10 @@ impl Destination {
     ///
     /// # Errors
     /// If the result cannot be read, or the standard output cannot be written.
-    pub(super) fn copy_to_stdout(self, verdict: CommandOutcome) -> Result<CommandOutcome> {
-        let Destination::Stdout { folder, extension } = self else { return Ok(verdict) };
-        if verdict == CommandOutcome::NothingDone {
-            return Ok(verdict);
+    pub(super) fn copy_to_stdout(self, outcome: CommandOutcome) -> Result<CommandOutcome> {
+        let Destination::Stdout { folder, extension } = self else { return Ok(outcome) };
+        if outcome == CommandOutcome::NothingDone {
+            return Ok(outcome);
         }
         let path = folder.path().join(format!("{STDOUT_STEM}.{extension}"));
         let mut file = File::open(&path).with_context(|| path.display().to_string())?;
@@ -147,7 +147,7 @@ impl Destination {
         io::copy(&mut file, &mut out)
             .and_then(|_| out.flush())
             .context("cannot write to the standard output")?;
-        Ok(verdict)
+        Ok(outcome)
     }
 }
 
@@ -226,9 +226,9 @@ pub(super) fn contradicts_format(out: &Path, extension: &str) -> anyhow::Error {
 
 /// Whether a path ends like the name of a file, with a dot and a word that is not a version, and is not a folder.
 pub(super) fn names_file(out: &Path) -> bool {
-    let is_number = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     let is_word = |extension: &str| {
-        extension.starts_with(|first: char| first.is_ascii_alphabetic())
+        extension.contains(|byte: char| byte.is_ascii_alphabetic())
             && extension.bytes().all(|byte| byte.is_ascii_alphanumeric())
             && !extension.strip_prefix(['v', 'V']).is_some_and(is_number)
     };

@@ -123,7 +123,7 @@ pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8
     if !matches!(typed.command, Command::Watch(_)) {
         machine::clean_up_when_interrupted();
     }
-    let verdict = match typed.command {
+    let outcome = match typed.command {
         Command::Convert(args) => convert::convert(&args, &mut console),
         Command::Verify(args) => verify::verify(&args, &mut console),
         Command::Sequence(args) => sequence::sequence(&args, &mut console),
@@ -137,20 +137,20 @@ pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8
         Command::Completions(args) => manual::completions(&args, &mut console),
         Command::Man(args) => manual::man(&args),
     };
-    let mut verdict = verdict.unwrap_or_else(|error| {
+    let mut outcome = outcome.unwrap_or_else(|error| {
         console.hide_bar();
         console.error(wording::with_causes(&error));
         CommandOutcome::NothingDone
     });
-    if verdict == CommandOutcome::Done && console.failed_count() > 0 {
+    if outcome == CommandOutcome::Done && console.failed_count() > 0 {
         console.error("frames are missing from the results, for the reasons above");
-        verdict = CommandOutcome::SomeFailed;
+        outcome = CommandOutcome::SomeFailed;
     }
     if let Err(error) = console.finish() {
         Console::new().warn(format_args!("error: cannot write to the standard output: {error}"));
         return 2;
     }
-    match verdict {
+    match outcome {
         CommandOutcome::Done => 0,
         CommandOutcome::SomeFailed => 1,
         CommandOutcome::NothingDone => 2,

@@ -355,10 +355,10 @@ pub(super) fn surface_name(path: &Path) -> Option<&'static str> {
     if is_level_set(path) { Some("level set") } else { is_mesh(path).then_some("mesh") }
 }
 
-/// The folder, the stem and the lower-case extension of a picture's file.
+/// The folder, the stem and the extension of a picture's file.
 ///
 /// # Errors
-/// If its name is not UTF-8, or has an extension other than these.
+/// If its name is not UTF-8, or has an extension other than these, in lower case.
 pub(super) fn named_picture<'e>(file: &Path, extensions: &[&'e str]) -> Result<(PathBuf, String, &'e str)> {
     let extension = file.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     let Some(extension) = extensions.iter().find(|known| **known == extension) else {

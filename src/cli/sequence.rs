@@ -168,10 +168,10 @@ impl SequenceOutputs {
         &self,
         frames: &[SequenceSource],
         frame_count: usize,
-        verdict: CommandOutcome,
+        outcome: CommandOutcome,
         console: &mut Console,
     ) -> CommandOutcome {
-        let mut verdict = verdict;
+        let mut outcome = outcome;
         for (path, format) in &self.files {
             if frames.len() < frame_count && path.exists() {
                 let (path, done_count) = (path.display(), frames.len());
@@ -188,17 +188,17 @@ impl SequenceOutputs {
                     }
                     report_sequence(path, &shot, console);
                     if !shot.left_out.is_empty() {
-                        verdict = CommandOutcome::SomeFailed;
+                        outcome = CommandOutcome::SomeFailed;
                     }
                 }
                 Err(error) => {
                     console.error(error);
-                    if verdict == CommandOutcome::Done {
-                        verdict = CommandOutcome::SomeFailed;
+                    if outcome == CommandOutcome::Done {
+                        outcome = CommandOutcome::SomeFailed;
                     }
                 }
             }
         }
-        verdict
+        outcome
     }
 }

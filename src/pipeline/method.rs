@@ -20,8 +20,8 @@ use crate::pipeline::input::obstacles::FrameObstacles;
 use crate::pipeline::output::writing::attribute_half_width_voxels;
 use crate::pipeline::target::outputs::OutputOptions;
 
-/// A frame between two stages.
-pub(crate) type StagedInput = StagedFrame<ShapedSource<FrameInput>>;
+/// What the three stages of the method pass on: their state of a frame of the pipeline.
+pub(crate) type FrameInStages = StagedFrame<ShapedSource<FrameInput>>;
 
 /// Plans the reconstruction of a frame, and the pictures among its outputs, within a memory limit.
 ///
@@ -90,7 +90,7 @@ pub(crate) fn rasterize(
     settings: &Settings,
     plan: &MemoryPlan,
     scratch: &Path,
-) -> Result<StagedInput, Cause> {
+) -> Result<FrameInStages, Cause> {
     if let FrameInput::LevelSet(given) = particles {
         let LevelSetInput { band, origin, max_deviation_voxels } = *given;
         return Ok(StagedFrame::of_level_set(band, origin, max_deviation_voxels, settings));
@@ -127,10 +127,10 @@ fn shaped(
 /// # Errors
 /// When the disk has no room for scratch files.
 pub(crate) fn smooth(
-    frame: StagedInput,
+    frame: FrameInStages,
     settings: &Settings,
     advanced: &mut dyn FnMut(f64),
-) -> Result<StagedInput, Cause> {
+) -> Result<FrameInStages, Cause> {
     frame.smooth(settings, advanced).map_err(Cause::Scratch)
 }
 
@@ -139,7 +139,7 @@ pub(crate) fn smooth(
 /// # Errors
 /// Those of [`rasterize`].
 pub(crate) fn contour(
-    frame: StagedInput,
+    frame: FrameInStages,
     settings: &Settings,
     outputs: &OutputOptions,
 ) -> Result<FrameSurface, Cause> {

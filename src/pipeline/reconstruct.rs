@@ -15,7 +15,7 @@ use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame_input::FrameInput;
 use crate::pipeline::input::obstacles::ObstacleFiles;
 use crate::pipeline::input::reading::{ParsedParticles, parse_particles, read_file};
-use crate::pipeline::method::{self, StagedInput};
+use crate::pipeline::method::{self, FrameInStages};
 use crate::pipeline::output::writing::surface_warnings;
 use crate::pipeline::records::frame_warnings::left_out;
 use crate::pipeline::target::outputs::OutputOptions;
@@ -46,7 +46,7 @@ pub struct Reconstruction {
 
 /// A frame that has its smoothed level set.
 pub(crate) struct SmoothedAlone {
-    pub(crate) frame: StagedInput,
+    pub(crate) frame: FrameInStages,
     /// When computing began.
     start: Instant,
     /// The names and hashes of its obstacle files; empty without obstacles.

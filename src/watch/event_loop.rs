@@ -60,7 +60,7 @@ pub const STOP_DEADLINE: Duration = Duration::from_secs(30);
 /// The interval of heartbeats.
 const TICK: Duration = Duration::from_secs(1);
 
-/// Maximum number of events in a batch. After each batch, the core decides what follows from it.
+/// Maximum number of events in a batch, after the first one. After each batch, the core decides what follows from it.
 const BATCH: usize = 4096;
 
 /// How long shutdown waits for a worker that hangs.

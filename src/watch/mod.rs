@@ -4,7 +4,8 @@
 //! ```text
 //!   core         decides: state and events in, effects out; no files, clocks or threads
 //!   event_loop   one thread: passes events to the core, carries out its effects, sends heartbeats
-//!   io           threads that may block: one per watched folder and per folder of outputs, and the pipeline
+//!   io           threads that may block: one per watched folder and per folder of outputs, one for slow
+//!                requests, and the pipeline
 //!   status_store what users see: frames, status, counters
 //! ```
 //!

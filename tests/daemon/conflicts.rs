@@ -125,7 +125,7 @@ fn output_does_not_replace_a_frame() {
     // No daemon runs that scans. When the other file is gone, so is the reason.
     let output = |arguments: &[&str]| scene.run(arguments).out;
     let status = output(&["status", "--out", "out"]);
-    assert!(status.contains("next try when the conflict is gone"), "{status}");
+    assert!(status.contains("next try when the conflict is gone and a daemon runs"), "{status}");
     let frame = output(&["status", "in/dam.1.ply", "--out", "out"]);
     for text in ["not converted", "would replace", "next try  when the conflict is gone"] {
         assert!(frame.contains(text), "{frame}");
@@ -143,6 +143,8 @@ fn refused_frame_is_converted_when_the_other_file_is_removed() {
         |line: &Line| line.message.contains("would replace a file that is not a surface of meniscus");
     scene.put_moving([1]);
     daemon.await_line("the refusal", is_refusal);
+    let status = scene.run(&["status", "--out", "out"]).out;
+    assert!(status.contains("next try when the conflict is gone: checked at each scan"), "{status}");
     scene.put_moving([2]);
     daemon.await_converted("dam.2.ply");
     scene.remove("out/dam.1.ply");

@@ -364,6 +364,7 @@ fn inputs_without_a_score_are_refused_with_a_remedy() {
         ("--fps", "-25", "frames per second"),
         ("--spacing", "inf", "`inf` is not a positive number"),
         ("--picture", "p.jpg", "ends with .png"),
+        ("--picture", "p.PNG", "must be lower case: use p.png"),
         ("--csv", "there/s.csv", "there: the folder for --csv does not exist"),
         ("--points", "p.1.csv", "would replace the input p.1.csv"),
         ("--frames", "7", "--frames selects none"),

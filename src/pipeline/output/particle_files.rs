@@ -11,7 +11,7 @@ use crate::pipeline::warning::{InputWarning, Warning};
 ///
 /// # Errors
 /// When the format cannot hold particles, or the system reports an error.
-pub(crate) fn write_particles(
+pub(crate) fn write_particles_as(
     particles: &ParticleFrame,
     format: OutputFormat,
     provenance: &[(String, String)],

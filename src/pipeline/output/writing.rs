@@ -69,8 +69,9 @@ pub(crate) fn write_files(
     Ok(WrittenFiles { files: staged.iter().zip(hashes).map(output).collect(), paths })
 }
 
-/// Writes a surface in one format. The pool encodes it in pieces that are complete before they are written, so
-/// that compute threads do not wait for the disk. At most one piece is in memory beside the surface.
+/// Writes a surface in one format. The pool encodes level sets and pictures whole, and meshes in text formats in
+/// batches, each of which is complete before it is written, so that compute threads do not wait for the disk. Meshes
+/// in other formats need no computing: this thread streams them.
 ///
 /// # Errors
 /// When the format cannot hold this amount of data, or the system reports an error.

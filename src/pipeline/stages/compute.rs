@@ -17,7 +17,7 @@ use crate::pipeline::input::filter::keep_chosen;
 use crate::pipeline::input::frame::Frame;
 use crate::pipeline::input::frame_input::FrameInput;
 use crate::pipeline::input::reading::{read_frame_unchanged, read_particles_of};
-use crate::pipeline::method::{self, StagedInput};
+use crate::pipeline::method::{self, FrameInStages};
 use crate::pipeline::reconstruct::LoadedFrame;
 use crate::pipeline::warning::Warning;
 use crate::surface::flicker::MovingParticles;
@@ -65,14 +65,14 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
 
 /// A rasterized frame.
 pub(super) struct Rasterized {
-    staged: StagedInput,
+    staged: FrameInStages,
     /// Its particles, if it is averaged with others.
     moving: Option<MovingParticles>,
 }
 
 /// A smoothed frame.
 pub(super) struct Smoothed {
-    staged: StagedInput,
+    staged: FrameInStages,
     /// What others need of the frame to be averaged with it, if it is averaged with others.
     timed: Option<Arc<TimedFrame>>,
 }
@@ -242,7 +242,7 @@ fn smoothed_alone(
 }
 
 /// What others need of a frame to be averaged with it.
-fn timed(staged: &StagedInput, moving: MovingParticles, settings: &Settings) -> Option<Arc<TimedFrame>> {
+fn timed(staged: &FrameInStages, moving: MovingParticles, settings: &Settings) -> Option<Arc<TimedFrame>> {
     let band = Arc::new(staged.band()?.clone());
     Some(Arc::new(TimedFrame::new(band, moving, settings.spacing)))
 }

@@ -6,14 +6,14 @@
 //!    └────────── up to the maximum number of frames in flight ───────────┘
 //! ```
 //!
-//! Several frames are in flight at once, in different stages or in the same one. A stage starts a frame only
-//! when the channel after it has a free slot, so a slow stage blocks the stages before it. This backpressure
-//! reaches the caller: the pipeline asks for the next frame only when there is room for one, so the caller
-//! can choose that frame at the last moment.
+//! Several frames are in flight at once, in different stages or in the same one. A compute stage starts a
+//! frame only when the channel after it has a free slot, so a slow stage blocks the stages before it. This
+//! backpressure reaches the caller: the pipeline asks for the next frame only when there is room for one, so the
+//! caller can choose that frame at the last moment.
 //!
 //! Reading has one thread and writing has several, which wait for the disk. Rasterizing, smoothing and
-//! contouring have one thread each, which only decides when a frame may start. All computing happens in the
-//! pool, where the earliest frame comes [first](super::scheduler): with many frames each thread of the pool
+//! contouring have one thread each, which only decides when a frame may start. All computing, except the
+//! encoding of meshes in binary formats, happens in the pool, where the earliest frame comes [first](super::scheduler): with many frames each thread of the pool
 //! has a separate frame, and with one frame all threads share it.
 //!
 //! The frames in flight are limited in number, by `in_flight`, and in bytes, by a [budget](super::budget).
@@ -24,9 +24,9 @@
 //! Each stage runs under `catch_unwind`: a broken invariant fails only its frame. A frame that failed, or was
 //! done already, leaves at once and overtakes others; [`run`] restores the order of outcomes.
 //!
-//! A [`WorkItem`] moves from stage to stage until its frame is a [`FinishedFrame`]. Between two stages it passes a
-//! [link]: a stage reserves a slot in it before it starts a frame, so a thread of the pool never waits for room in
-//! a channel. `smoothed` keeps frames for those that are averaged with them.
+//! A [`WorkItem`] moves from stage to stage until its frame is a [`FinishedFrame`]. After each compute
+//! stage it passes a [link]: the stage reserves a slot in it before it starts a frame, so a thread of the pool never
+//! waits for room in a channel. `smoothed` keeps frames for those that are averaged with them.
 
 mod compute;
 mod read;
@@ -170,13 +170,13 @@ fn drive<'scope, 'env: 'scope, K: Send + 'env>(
 ) {
     let options = stages.shared.options;
     let in_flight = options.in_flight.max(1);
-    // The maximum number of frames in each stage and in the channel after it.
+    // The maximum number of frames in a compute stage and in the channel after it, together.
     let width = match options.on_error {
         OnError::Stop => 1,
         OnError::Continue => options.pool.current_num_threads().min(in_flight),
     };
     // Holds a token for each frame that is not finished.
-    let (slot_sender, slot_receiver) = bounded(in_flight);
+    let (token_sender, token_receiver) = bounded(in_flight);
     // The channel has room for all frames in flight, so that a thread of the pool never waits to report an
     // outcome.
     let (finished, finished_from) = bounded(in_flight);
@@ -191,7 +191,7 @@ fn drive<'scope, 'env: 'scope, K: Send + 'env>(
         }
         scope.spawn({
             let finished = finished.clone();
-            move || stages.read(next, &slot_sender, &to_rasterize, &finished)
+            move || stages.read(next, &token_sender, &to_rasterize, &finished)
         });
         scope.spawn({
             let finished = finished.clone();
@@ -225,7 +225,7 @@ fn drive<'scope, 'env: 'scope, K: Send + 'env>(
         drop(to_write_from);
         for FinishedFrame { key, frame, outcome } in finished_from {
             on_finished(key, frame, outcome);
-            let _ = slot_receiver.try_recv();
+            let _ = token_receiver.try_recv();
         }
     });
 }
@@ -246,7 +246,7 @@ struct Stages<'a, 'scope, 'env> {
     scheduler: Scheduler<'a, 'scope, 'env>,
 }
 
-/// A frame between two stages.
+/// A frame on its way through the stages, with the result of the last one.
 struct WorkItem<'env, K, T> {
     /// Its place in the order of requests: the lowest computes first.
     order: usize,

@@ -80,7 +80,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         shared.begin(frame, Stage::Read);
         let start = Instant::now();
         let read = FrameError::catch(&frame.input.clone(), Stage::Read, || match frame.job {
-            Job::Surface => self.particles_of(order, frame),
+            Job::Surface => self.read_particle_frame(order, frame),
             Job::LevelSet { .. } => self.level_set_of(order, frame),
             Job::Particles => self.bytes_of(frame),
         });
@@ -127,7 +127,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     /// The bytes of a frame that is converted to another particle format.
     fn bytes_of(&self, frame: &Frame) -> Result<ReadResult, Outcome> {
         let (bytes, input) = self.read_whole(frame)?;
-        self.refuse_done(frame, input, "", &[])?;
+        self.end_if_done(frame, input, "", &[])?;
         let content = ReadContent::Particles(bytes);
         Ok(ReadResult { content, input, noted: InputNotes::default(), around: Vec::new() })
     }
@@ -148,7 +148,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         });
         let (read, mut file, other_grids) = parsed.map_err(outcome_of)?;
         *frame = read;
-        self.refuse_done(frame, input, "", &[])?;
+        self.end_if_done(frame, input, "", &[])?;
         let warnings = std::mem::take(&mut file.warnings).into_iter().chain(other_grids).collect();
         let given = FrameInput::LevelSet(Box::new(LevelSetInput::new(file, &frame.job)));
         let noted = InputNotes { warnings, unused_velocity: None };
@@ -165,8 +165,9 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         Ok((bytes, InputState { stamp, hash }))
     }
 
-    /// Reads the particles of a frame, with the warnings about them.
-    fn particles_of(&self, order: usize, frame: &Frame) -> Result<ReadResult, Outcome> {
+    /// Finds the obstacles of a frame of particles and the frames around it, ends it if it is done already, reads
+    /// it, and plans its reconstruction.
+    fn read_particle_frame(&self, order: usize, frame: &Frame) -> Result<ReadResult, Outcome> {
         let of_obstacle = |error| frame.failed(Stage::Read, Cause::Obstacle(Box::new(error)));
         let found = frame.obstacles.find(frame.number);
         let obstacles = found.map_err(|error| Outcome::Failed(of_obstacle(error)))?;
@@ -179,7 +180,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             if !file.is_unchanged().map_err(|error| unreadable(frame, error))? {
                 return Err(Outcome::Changed);
             }
-            self.refuse_done(frame, input, &obstacles.recorded(), &around)?;
+            self.end_if_done(frame, input, &obstacles.recorded(), &around)?;
             let streamed =
                 FileParticles::open(&frame.input, file).map_err(|error| unreadable(frame, error))?;
             if let Some(particles) = streamed {
@@ -187,7 +188,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                 let choose = move || {
                     let failed = |cause| FrameError { path: path.clone(), during: Stage::Read, cause };
                     let particles = particles.chosen_by(wanted.filter.as_ref()).map_err(failed)?;
-                    // Such a frame is not averaged with others: following its particles needs attributes.
+                    // `left_out_warnings` is empty: averages need attributes, so frames with them are not streamed.
                     let (warnings, unused_velocity) = (particles.warnings(), particles.unused_velocity());
                     let noted = InputNotes { warnings: warnings.map_err(failed)?, unused_velocity };
                     Ok((FrameInput::OnDisk(Box::new(particles)), noted))
@@ -196,7 +197,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             }
         }
         let (bytes, input) = self.read_whole(frame)?;
-        self.refuse_done(frame, input, &obstacles.recorded(), &around)?;
+        self.end_if_done(frame, input, &obstacles.recorded(), &around)?;
         let path = frame.input.clone();
         let parse = move || {
             let read = parse_particles(&path, &bytes, &wanted)?;
@@ -241,7 +242,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         Ok(ReadResult { content, input, noted, around })
     }
 
-    /// The file of a frame that should be streamed twice in batches instead of being read at once.
+    /// The file of a frame that should be streamed in batches instead of being read at once.
     fn worth_streaming(&self, frame: &Frame) -> io::Result<Option<InputFile>> {
         if step_of(&frame.input).is_some() || !needs_positions_only(&frame.settings) {
             return Ok(None);
@@ -251,7 +252,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     }
 
     /// Ends a frame that is done already, if such frames are skipped.
-    fn refuse_done(
+    fn end_if_done(
         &self,
         frame: &Frame,
         input: InputState,
@@ -320,5 +321,5 @@ fn check_file_of_level_set(
 }
 
 /// Files of this size and larger are read in batches if their format allows it. A smaller file is faster to
-/// read once than to stream twice.
+/// read once than to stream several times.
 const STREAMED_FROM_BYTES: u64 = 16 << 20;

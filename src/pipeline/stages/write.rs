@@ -15,7 +15,7 @@ use crate::pipeline::files::open::require_no_links;
 use crate::pipeline::input::around;
 use crate::pipeline::input::frame::{Frame, FrameReport, Job, Outcome};
 use crate::pipeline::memory::peak_memory_bytes;
-use crate::pipeline::output::particle_files::{particle_warnings, write_particles};
+use crate::pipeline::output::particle_files::{particle_warnings, write_particles_as};
 use crate::pipeline::output::writing::{WrittenFiles, surface_warnings, write_files, write_surface_as};
 use crate::pipeline::records::provenance::{MadeFrom, provenance};
 use crate::pipeline::target::outputs::OutputFormat;
@@ -60,14 +60,14 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             let write = |format: OutputFormat, out: &mut BufWriter<&File>| {
                 let made_from = MadeFrom { input_hash: info.input.hash, ..MadeFrom::default() };
                 let provenance = provenance(frame, made_from, format);
-                write_particles(particles, format, &provenance, out)
+                write_particles_as(particles, format, &provenance, out)
             };
             let written = write_files(frame, write)?;
             let warnings = particle_warnings(particles, &frame.outputs.formats);
             let mut report = base_report(frame, info, written, warnings);
             report.reconstruction.particle_count = particles.positions.len();
             report.seconds.write = start.elapsed().as_secs_f64();
-            with_record(frame, report)
+            record_frame(frame, report)
         });
         converted(written.flatten())
     }
@@ -113,14 +113,14 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             info.seconds.preview = preview_time.as_secs_f64();
             let warnings = surface_warnings(&surface, &frame.outputs, &frame.settings);
             let reconstruction = surface.report.clone();
-            with_record(frame, FrameReport { reconstruction, ..base_report(frame, info, written, warnings) })
+            record_frame(frame, FrameReport { reconstruction, ..base_report(frame, info, written, warnings) })
         });
         converted(written.flatten())
     }
 }
 
 /// Records a frame whose outputs all have their names.
-fn with_record(frame: &Frame, report: FrameReport) -> Result<FrameReport, FrameError> {
+fn record_frame(frame: &Frame, report: FrameReport) -> Result<FrameReport, FrameError> {
     let recorded = frame.record_done(report).map_err(meniscus_formats::Error::from);
     recorded.map_err(|error| FrameError::file(&frame.outputs.folder, Stage::Write, error))
 }

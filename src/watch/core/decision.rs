@@ -21,7 +21,7 @@ pub(crate) fn reason_by_record(
     record: Option<&RecordedFrame>,
     stamp: &FileStamp,
     has_settings: impl Fn(&RecordedFrame) -> bool,
-    missing_output: Option<&Path>,
+    unfit_output: Option<&Path>,
 ) -> Option<Reason> {
     let Some(record) = record else { return Some(Reason::New) };
     let recorded_stamp = match (&record.unfinished, &record.done) {
@@ -44,7 +44,7 @@ pub(crate) fn reason_by_record(
         return Some(Reason::SettingsChanged);
     }
     // Outputs of a failed frame are older than its failure: whether they exist does not matter.
-    if let Some(output) = missing_output.filter(|_| record.unfinished.is_none()) {
+    if let Some(output) = unfit_output.filter(|_| record.unfinished.is_none()) {
         return Some(Reason::OutputChanged { output: output.to_owned() });
     }
     (!recorded_stamp.still_holds(stamp)).then_some(Reason::Touched)

@@ -1,7 +1,7 @@
 //! The inputs and outputs of the core: events and effects.
 //!
 //! ```text
-//!   workers, pipeline, commands ──Event──▶ Core::handle ──Effect──▶ workers, pipeline, records, log
+//!   workers, pipeline ──Event──▶ Core::handle ──Effect──▶ workers, pipeline, records, log
 //! ```
 //!
 //! An event about a file may arrive late, twice or never. So each event contains the state of the file at a
@@ -134,7 +134,7 @@ pub(crate) struct FrameFinished {
     pub(crate) free_bytes: Option<u64>,
 }
 
-/// Requests the state of a file. The checks stop at the first one that fails.
+/// Requests the state of a file.
 #[derive(Debug)]
 pub(crate) struct Inspect {
     pub(crate) id: FrameId,
@@ -156,7 +156,7 @@ pub(crate) struct Inspect {
 pub(crate) enum InspectionExtent {
     /// Whether the file is unchanged, and nothing else.
     Stamp,
-    /// Whether the file is unchanged, then everything else.
+    /// The outputs and obstacles by the record, then whether the file is unchanged, then its kind and conflicts.
     All,
     /// Like `All`, for a file whose stamp was read just now: if the outputs and obstacles are as recorded,
     /// the stamp is not read again.

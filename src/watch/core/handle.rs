@@ -39,6 +39,7 @@ impl Core {
             Event::OutputFolderChecked(found) => self.on_output_folder_checked(found),
             Event::WorkerStalled(worker) => self.set_stalled(worker, true),
             Event::WorkerAnswered(worker) => self.set_stalled(worker, false),
+            // The event loop handles these.
             Event::PipelineEnded | Event::OutputSynced(_) => {}
         }
     }

@@ -673,7 +673,7 @@ impl Core {
     /// Claims the names of a frame's outputs. If another frame owns them, or there is another conflict,
     /// refuses the frame and returns false.
     fn claim_outputs(&mut self, id: &FrameId, conflict: Option<String>) -> bool {
-        let conflict = conflict.or_else(|| self.replaced_stage(id));
+        let conflict = conflict.or_else(|| self.replaced_usd_stage(id));
         let claimed = self.claimed_stem(id);
         let owner = self.claims.get(&claimed).filter(|owner| *owner != id && self.may_exist(owner));
         let owned = owner.map(|owner| {
@@ -695,7 +695,7 @@ impl Core {
     }
 
     /// The reason to refuse a frame with an output that would replace a stage; `None` if none would.
-    fn replaced_stage(&mut self, id: &FrameId) -> Option<String> {
+    fn replaced_usd_stage(&mut self, id: &FrameId) -> Option<String> {
         let stages = self.config.watches.iter().filter_map(|watch| watch.outputs.stage.as_ref());
         let stages: Vec<PathBuf> = stages.map(|stage| stage.path.clone()).collect();
         if stages.is_empty() {

@@ -119,7 +119,7 @@ impl Core {
         self.failed.remove(id);
         self.set_phase(id, FramePhase::Done);
         self.doubt_done(id);
-        // The record is kept here for the core, and the line of the log follows it.
+        // If the pipeline has written the record, the worker only writes the line of the log.
         self.record(self.output_folder_of[id.root], RecordLine::Done(record), Some(log));
     }
 

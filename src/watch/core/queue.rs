@@ -1,4 +1,4 @@
-//! The queue of frames that are ready for a pipeline.
+//! The queue of frames that are ready for the pipeline.
 //!
 //! The pipeline asks for a frame only when it can start one. So the order is decided at the last moment, and
 //! a frame that arrives late may still be the next.
@@ -11,7 +11,7 @@ use crate::watch::config::Order;
 
 use super::frames::FrameId;
 
-/// Frames that wait for a pipeline, in the order of conversion.
+/// Frames that wait for the pipeline, in the order of conversion.
 #[derive(Debug)]
 pub(crate) struct Queue {
     order: Order,

@@ -1,6 +1,7 @@
 //! All code that may block: files, folders, mounts, the records on disk, and the pipeline.
 //!
 //! ```text
+//!   start          starts the threads
 //!   root           a watched folder: scans, events, inspections
 //!   output_folder  a folder of outputs: records, lock, free space
 //!   worker         the thread of either, and its stall detection

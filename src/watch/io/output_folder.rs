@@ -169,8 +169,8 @@ impl Work for OutputFolderWorker {
     fn handle(&mut self, request: OutputRequest, report: &dyn Fn(Event)) {
         match request {
             OutputRequest::Record(line, log) => {
-                // Records that the pipeline has written already are not written again.
                 self.stages.note(&line);
+                // Records that the pipeline has written already are not written again.
                 self.guard.records.keep(line);
                 self.write_records(false);
                 if let Some(log) = log {

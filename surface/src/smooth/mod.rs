@@ -67,7 +67,7 @@ pub struct SmoothSteps {
 
 impl SmoothSteps {
     /// The size of a biharmonic step in the precision of voxels.
-    fn step_size(&self) -> f32 {
+    fn step_size_f32(&self) -> f32 {
         self.step_size as f32
     }
 }

@@ -198,7 +198,7 @@ fn portions(total: u32, most: u32) -> impl Iterator<Item = (u32, u32)> {
 }
 
 fn params(config: &SmoothConfig, step: u32) -> StepParams {
-    StepParams::new(config.smoothing.step_size(), step + 1 == config.smoothing.steps)
+    StepParams::new(config.smoothing.step_size_f32(), step + 1 == config.smoothing.steps)
 }
 
 /// Auxiliary fields passed between operations. Their meaning depends on the integrator.
@@ -276,7 +276,7 @@ impl SmoothContext<'_> {
             SmoothOp::Implicit => {
                 let region = free_region(&band.topology, &band.phi, config.pin_isolated_spheres);
                 let free_count = region.free_count(*own);
-                let step_size = config.smoothing.step_size();
+                let step_size = config.smoothing.step_size_f32();
                 let solved =
                     implicit::step(band, bounds, region, step_size, CG_TOLERANCE, &mut workspace.first);
                 let voxel_update_count = free_count * solved.pass_count() as u64;
@@ -318,7 +318,7 @@ impl SmoothContext<'_> {
                 self.band,
                 self.bounds,
                 &region,
-                self.config.smoothing.step_size(),
+                self.config.smoothing.step_size_f32(),
                 self.workspace,
                 self.own,
             );
@@ -330,7 +330,7 @@ impl SmoothContext<'_> {
     fn adaptive(&mut self, count: u32) -> SmoothStats {
         let mut stats = SmoothStats::default();
         // 64 bits, so that many small steps accumulate without loss.
-        let mut time_left = f64::from(count) * f64::from(self.config.smoothing.step_size());
+        let mut time_left = f64::from(count) * f64::from(self.config.smoothing.step_size_f32());
         while time_left > TIME_TOLERANCE {
             let region = FreeVoxels::new(&self.band.topology, &self.band.phi, FREE_WIDTH);
             let free_count = region.free_count(self.own);

@@ -17,6 +17,8 @@
 //! displacements of neighbouring particles scatter, and where the level sets disagree by about a spacing: there
 //! the topology changes, ids were used again, or velocities are much too large.
 //!
+//! A voxel comes inside only beside one that is inside, so that no piece appears where the frame has no fluid.
+//!
 //! The caller restores distances afterwards, and clamps φ to the bounds of the frame. So the guarantees are
 //! those of a frame alone.
 //!
@@ -115,6 +117,10 @@ impl TemporalConfig {
     fn weight(&self) -> f32 {
         ((2 * self.frames + 1) as f32).recip()
     }
+
+    fn spacing_voxels(&self) -> f32 {
+        (self.spacing / self.lattice.voxel_size) as f32
+    }
 }
 
 /// What averaging did.
@@ -142,7 +148,6 @@ pub fn average(
     others: &[OtherFrame],
     config: &TemporalConfig,
 ) -> TemporalReport {
-    let spacing_voxels = (config.spacing / config.lattice.voxel_size) as f32;
     let half_width = HALF_WIDTH.min(band.half_width - 1.0);
     let followed =
         others.iter().filter_map(|other| Some((other, moves(&particles.particles, other, config)?)));
@@ -159,11 +164,7 @@ pub fn average(
     let positions = Positions::from(particles.particles.positions());
     let moves: Vec<&Attribute> = moves.iter().collect();
     let (moves, _) = interpolate_to_band(positions, &moves, band, &config.lattice, half_width, support);
-    let carried = followed.iter().zip(moves).map(|(other, moves)| Carried {
-        moves,
-        band: &other.frame.band,
-        weight: config.weight(),
-    });
+    let carried = followed.iter().zip(moves).map(|(other, moves)| Carried { moves, band: &other.frame.band });
     let carried: Vec<Carried> = carried.collect();
     let apart = apart_from_fluid(band);
     let origins = band.topology.origins();
@@ -171,17 +172,16 @@ pub fn average(
     let parts: Vec<Changes> = leaves
         .map(|(index, (leaf, &origin))| {
             checkpoint();
-            average_leaf(leaf, index, origin, &carried, &apart[index], half_width, spacing_voxels)
+            average_leaf(leaf, index, origin, &carried, &apart[index], half_width, config)
         })
         .collect();
     let Changes { voxel_count, confidence, squares } =
         parts.into_iter().fold(Changes::default(), Changes::and);
     let count = voxel_count.max(1) as f64;
-    let weights: f64 = carried.iter().map(|carried| f64::from(carried.weight)).sum();
     TemporalReport {
         frame_count: carried.len(),
         voxel_count,
-        confidence: confidence / (count * weights),
+        confidence: confidence / (count * carried.len() as f64),
         change: (squares / count).sqrt(),
     }
 }
@@ -190,7 +190,6 @@ pub fn average(
 struct Carried<'a> {
     moves: BandAttribute,
     band: &'a NarrowBand,
-    weight: f32,
 }
 
 /// Sums over voxels.
@@ -218,15 +217,16 @@ fn average_leaf(
     carried: &[Carried],
     apart: &LeafMask,
     half_width: f32,
-    spacing_voxels: f32,
+    config: &TemporalConfig,
 ) -> Changes {
     let mut changes = Changes::default();
     if leaf.values.iter().all(|phi| phi.abs() >= half_width) {
         return changes;
     }
+    let spacing_voxels = config.spacing_voxels();
     let mut moves = [0.0; LEAF_VOXELS * COMPONENTS];
     let mut changed = [0.0; LEAF_VOXELS];
-    for Carried { moves: of_band, band, weight } in carried {
+    for Carried { moves: of_band, band } in carried {
         of_band.fill(index, &mut moves);
         let mut sampler = Sampler::new(band);
         for (offset, &phi) in leaf.values.iter().enumerate() {
@@ -247,12 +247,13 @@ fn average_leaf(
             }
             let Some(other) = sampler.sample(origin + voxel_in_leaf(offset), step) else { continue };
             let difference = other - phi;
-            let confidence = weight * kept * falling(difference.abs() / spacing_voxels, DISAGREEMENT);
+            let confidence = kept * falling(difference.abs() / spacing_voxels, DISAGREEMENT);
             changed[offset] += confidence * difference;
             changes.confidence += f64::from(confidence);
         }
     }
     for (offset, (phi, changed)) in leaf.values.iter_mut().zip(changed).enumerate() {
+        let changed = config.weight() * changed;
         let is_ghost = apart.contains(offset) && *phi + changed < 0.0;
         let changed = if is_ghost { 0.0 } else { changed };
         changes.voxel_count += usize::from(phi.abs() < half_width);
@@ -262,8 +263,8 @@ fn average_leaf(
     changes
 }
 
-/// The voxels outside whose face neighbours are all outside. If they came inside, pieces of a voxel might appear where
-/// the frame has no fluid.
+/// The voxels that are outside, as are all their face neighbours. If one of them came inside, it might be a piece of its
+/// own where the frame has no fluid.
 fn apart_from_fluid(band: &NarrowBand) -> Vec<LeafMask> {
     let outside: Vec<LeafMask> = negative_masks(&band.phi).iter().map(LeafMask::complement).collect();
     let neighbors = band.topology.neighbors().par_iter().zip(&outside).halved();

@@ -129,6 +129,39 @@ fn noise_is_averaged_along_velocities() {
     assert!(with < 0.75 * without, "{with} instead of {without}");
 }
 
+/// Each of the 2 N + 1 frames has the same weight, and the weight of a missing frame stays with the frame itself.
+#[test]
+fn frames_have_equal_weights() {
+    const SHIFT: f32 = 0.25;
+    let points = block(8, 0.0, 1);
+    let given = Given { ids: ids(points.len()), points, velocities: None };
+    let (_, timed) = smoothed(&given);
+    let mut shifted = NarrowBand::clone(&timed.band);
+    shifted.phi.leaves.iter_mut().flat_map(|leaf| &mut leaf.values).for_each(|phi| *phi += SHIFT);
+    let shifted = Arc::new(TimedFrame::new(Arc::new(shifted), given.moving(), SPACING));
+    let lattice = Lattice { voxel_size: settings().voxel_size };
+    for frames in 1..=3 {
+        for steps in [vec![1], (-frames..=frames).filter(|step| *step != 0).collect()] {
+            let other = |&steps: &i32| OtherFrame { frame: Arc::clone(&shifted), steps };
+            let others: Vec<OtherFrame> = steps.iter().map(other).collect();
+            let config = TemporalConfig { frames: frames as u32, seconds: None, spacing: SPACING, lattice };
+            let mut band = NarrowBand::clone(&timed.band);
+            average(&mut band, &timed, &others, &config);
+            let expected = SHIFT * steps.len() as f32 / (2 * frames + 1) as f32;
+            let values = band.phi.leaves.iter().zip(&timed.band.phi.leaves);
+            let near = values
+                .flat_map(|(after, before)| after.values.iter().zip(&before.values))
+                .filter(|(_, before)| before.abs() < 1.0);
+            let mut count = 0;
+            for (after, before) in near {
+                assert!((after - before - expected).abs() < 1e-4, "{steps:?}: {}", after - before);
+                count += 1;
+            }
+            assert!(count > 1000, "{count}");
+        }
+    }
+}
+
 /// A drop that rotates and falls keeps its volume and its shape: its surface is as close to the sphere as alone.
 #[test]
 fn rotating_drop_stays_round() {
