@@ -7,7 +7,7 @@
 //!   "pos" (N, 3)                    the position, unless the format itself specifies one
 //!   "x" (N), "y" (N), "z" (N)       the same, in three arrays
 //!   "vel" (N, 3)                    Velocity
-//!   "vx" (N), "vy" (N), "vz" (N)    v, arity 3, Velocity
+//!   "vx" (N), "vy" (N), "vz" (N)    joined to "v" (N, 3): Velocity
 //!   "width" (N)                     Radius, halved
 //!   "stress" (N, 6)                 an attribute without a role
 //! ```
@@ -23,7 +23,7 @@ use crate::text::excerpt;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct NamedArray {
     pub(crate) name: String,
-    /// Number of values per particle, at least 1.
+    /// Number of values per particle; 0 in invalid files.
     pub(crate) arity: usize,
     pub(crate) values: Values,
 }
@@ -72,8 +72,8 @@ fn take_mismatched(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<S
 
 /// Takes the position from the arrays with three values per particle: the array whose name ranks first.
 fn take_vector_position(arrays: &mut Vec<NamedArray>) -> Option<FilePositions> {
-    let is_one = |array: &NamedArray| array.arity == 3 && !matches!(array.values, Values::Strings { .. });
-    let ranked = arrays.iter().enumerate().filter(|(_, array)| is_one(array));
+    let is_vector = |array: &NamedArray| array.arity == 3 && !matches!(array.values, Values::Strings { .. });
+    let ranked = arrays.iter().enumerate().filter(|(_, array)| is_vector(array));
     let (_, index) = ranked.filter_map(|(index, array)| Some((position_rank(&array.name)?, index))).min()?;
     number::positions(arrays.remove(index).values)
 }
@@ -150,6 +150,10 @@ mod tests {
         NamedArray { name: name.into(), arity, values }
     }
 
+    fn short(name: &str) -> NamedArray {
+        NamedArray { name: name.into(), arity: 1, values: Values::F32(vec![0.0]) }
+    }
+
     /// Describes the first position, then each attribute as `name arity role`.
     fn described(arrays: Vec<NamedArray>) -> Option<String> {
         let frame = frame_of(None, arrays)?;
@@ -180,6 +184,12 @@ mod tests {
             ),
             (vec![array("x", 3)], Some("[0.0, 1.0, 2.0]")),
             (vec![array("v", 3), array("x", 1), array("y", 1)], None),
+            // Of other lengths, the columns are not the components of one vector.
+            (vec![array("x", 1), array("y", 1), short("z")], None),
+            (
+                vec![array("P", 3), array("vx", 1), array("vy", 1), short("vz")],
+                Some("[0.0, 1.0, 2.0] | vx 1 | vy 1"),
+            ),
             (vec![], None),
         ];
         for (arrays, expected) in table {

@@ -197,8 +197,10 @@ pub(crate) fn slice(values: &Values, range: std::ops::Range<usize>) -> Values {
 pub(crate) fn interleaved(columns: &[&Values]) -> Option<Values> {
     fn gather<T: Copy>(columns: &[&Values], of: impl Fn(&Values) -> Option<&[T]>) -> Option<Vec<T>> {
         let columns: Vec<&[T]> = columns.iter().map(|column| of(column)).collect::<Option<_>>()?;
-        let rows = 0..columns.iter().map(|column| column.len()).min()?;
-        Some(rows.flat_map(|row| columns.iter().map(move |column| column[row])).collect())
+        let row_count = columns.first()?.len();
+        let are_equal = columns.iter().all(|column| column.len() == row_count);
+        are_equal
+            .then(|| (0..row_count).flat_map(|row| columns.iter().map(move |column| column[row])).collect())
     }
     macro_rules! of {
         ($variant:ident) => {

@@ -154,8 +154,8 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
                 if *arity == 4 {
                     notes.push(format!("the alpha of {name} is missing in the .obj"));
                 }
-                let opaque = values.chunks_exact(*arity).flat_map(|color| &color[..3]);
-                notes.extend(clamp_note(name, opaque, "the .obj"));
+                let channels = values.chunks_exact(*arity).flat_map(|color| &color[..3]);
+                notes.extend(clamp_note(name, channels, "the .obj"));
             }
             Purpose::Velocity | Purpose::Acceleration | Purpose::Other => {
                 notes.push(format!("{name} is missing in the .obj, which can only store colours"));
@@ -231,9 +231,10 @@ pub fn read_mesh(bytes: &[u8]) -> Result<MeshData> {
     let options =
         tobj::LoadOptions { triangulate: true, single_index: true, ignore_points: true, ignore_lines: true };
     let invalid = |what: String| Error::invalid(FORMAT, Position::File, what);
-    // tobj drops vertices that no face uses, so the mesh consists of its faces.
+    let too_many = || Error::too_large(FORMAT, "the mesh has more than 2³² vertices");
     let no_materials = |_: &std::path::Path| Ok(Default::default());
     let mut lines = MeshLines::new(bytes);
+    // tobj drops vertices that no face uses, so the mesh consists of its faces.
     let (models, _) = tobj::load_obj_buf(&mut lines, &options, no_materials).map_err(|error| {
         let (line, what) = lines.position();
         Error::invalid(FORMAT, Position::Line(line), what.unwrap_or_else(|| error.to_string()))
@@ -244,9 +245,12 @@ pub fn read_mesh(bytes: &[u8]) -> Result<MeshData> {
         let part = model.mesh;
         let first = u32::try_from(mesh.positions.len());
         let (Ok(first), Ok(count)) = (first, u32::try_from(part.positions.len() / 3)) else {
-            return Err(Error::too_large(FORMAT, "the mesh has more than 2³² vertices"));
+            return Err(too_many());
         };
-        if first.checked_add(count).is_none() || part.indices.iter().any(|&index| index >= count) {
+        if first.checked_add(count).is_none() {
+            return Err(too_many());
+        }
+        if part.indices.iter().any(|&index| index >= count) {
             return Err(invalid("a face has a vertex that does not exist".into()));
         }
         has_normals &= part.normals.len() == part.positions.len();
@@ -284,8 +288,8 @@ struct MeshLines<'a> {
     line_number: u64,
     vertex_count: u64,
     normal_count: u64,
-    /// Forward references, to vertices and to normals: the line and the index of each reference whose index
-    /// is larger than all before. They include the first reference that exceeds the final count.
+    /// Forward references, to vertices and to normals: their lines and indices. Only those larger than all before are
+    /// kept, which are enough to find the first that exceeds the final count.
     awaited: [Vec<(u64, u64)>; 2],
     is_at_end: bool,
     /// The error in the current line.
@@ -317,7 +321,7 @@ impl<'a> MeshLines<'a> {
         let first = |awaited: &[(u64, u64)], count: u64, kind: &'static str| {
             let beyond = awaited.iter().find(|(_, number)| *number > count);
             beyond.map(|(line, number)| {
-                (*line, format!("a face has {kind} {number}, but the file has {count}"))
+                (*line, format!("a face refers to {kind} {number}, but the file has only {count}"))
             })
         };
         let vertex = first(vertices, self.vertex_count, "vertex");
@@ -352,8 +356,10 @@ impl<'a> MeshLines<'a> {
             let (line, rest) = self.rest.split_at(end.map_or(self.rest.len(), |end| end + 1));
             self.rest = rest;
             let line = line.trim_ascii();
+            // A comment is not continued: it may end with the path of a folder.
+            let is_comment = text.is_empty() && line.starts_with(b"#");
             match line.strip_suffix(b"\\") {
-                Some(start) if !rest.is_empty() => {
+                Some(start) if !rest.is_empty() && !is_comment => {
                     text.extend_from_slice(start);
                     text.push(b' ');
                     self.line_number += 1;
@@ -367,7 +373,10 @@ impl<'a> MeshLines<'a> {
     }
 
     fn prepare(&mut self, text: &[u8]) -> std::result::Result<(), String> {
-        let mut words = text.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        let mut words = text
+            .split(u8::is_ascii_whitespace)
+            .filter(|word| !word.is_empty())
+            .take_while(|word| !word.starts_with(b"#"));
         let keyword = words.next().unwrap_or_default();
         match keyword {
             b"v" => {
@@ -430,7 +439,12 @@ fn await_element(awaited: &mut Vec<(u64, u64)>, line: u64, number: u64, count: u
 /// Converts an index to one that counts from 1. A negative index counts backwards from the last element
 /// before the line. Only the end of the file shows whether the element exists: see [`MeshLines::position`].
 fn index(text: &[u8], count: u64, corner: &[u8]) -> std::result::Result<u64, String> {
-    let wrong = || format!("a face has an invalid corner `{}`", excerpt(corner));
+    let wrong = || {
+        format!(
+            "a face has an invalid corner `{}`: expected a nonzero index, such as 3, 3//3 or -1",
+            excerpt(corner)
+        )
+    };
     let number: i64 = std::str::from_utf8(text).ok().and_then(|text| text.parse().ok()).ok_or_else(wrong)?;
     let index = match number {
         ..0 => count.checked_sub(number.unsigned_abs()).map(|before| before + 1),

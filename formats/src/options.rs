@@ -40,9 +40,8 @@ pub struct MeshOptions {
     /// For each triangle, whether it and the next one form a quad, which is then written as one face. Empty:
     /// all faces are triangles.
     pub quads: Arc<[bool]>,
-    /// Whether to write the arrays of text USD, except uniform ones, a second time as time samples, because a
-    /// stage plays only time samples. Binary USD always has time samples: they need no second copy there,
-    /// because a time sample and the default value refer to one array.
+    /// Whether text USD contains the arrays that vary twice: as defaults, and as time samples, because a stage
+    /// plays only those. Binary USD always has both, which share one array.
     pub time_samples: bool,
 }
 
@@ -79,7 +78,7 @@ pub enum WriteOption {
 
 impl WriteOption {
     /// All options that are settings, in the order in which they are printed.
-    pub const ALL: [WriteOption; 6] = [
+    pub const SETTINGS: [WriteOption; 6] = [
         WriteOption::Quads,
         WriteOption::Up,
         WriteOption::MetersPerUnit,
@@ -88,8 +87,7 @@ impl WriteOption {
         WriteOption::Camera,
     ];
 
-    /// Its name in the provenance of a file. It has no prefix such as `vdb_`, because the format is known
-    /// there.
+    /// Its name in the provenance of a file. Unlike the key, it need not name the format: `values`, not `vdb`.
     pub fn name(self) -> &'static str {
         match self {
             WriteOption::Quads => "quads",

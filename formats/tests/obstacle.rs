@@ -47,6 +47,11 @@ fn obj_files_of_all_dialects_are_read() {
         ("colours of some", format!("{}f 1 2 3 4\n", vertices.replacen("0 0 0", "0 0 0 0.5 0.5 1", 1))),
         ("weights", format!("{}f 1 2 3 4\n", vertices.replacen("0 0 0", "0 0 0 1.0", 1))),
         ("points and lines", format!("{vertices}p 1\nl 1 2\nf 1 2 3 4\nf 1 2\n")),
+        ("a comment that ends with a folder", format!("# from C:\\models\\\n{vertices}f 1 2 3 4\n")),
+        (
+            "comments behind values",
+            format!("{}f 1 2 3 4 # a quad\n", vertices.replacen("0 0 0", "0 0 0 # first", 1)),
+        ),
         ("vertices later", format!("f 1 2 3 4\n{vertices}")),
     ] {
         assert_eq!(corners(&mesh(text.as_bytes(), "a.obj")), fan, "{name}");
@@ -61,7 +66,7 @@ fn obj_files_of_all_dialects_are_read() {
 fn obj_errors_have_the_line_number() {
     let vertices = "v 0 0 0\nv 1 0 0\n# comment\nv 1 1 0\n";
     for (text, line, word) in [
-        ("f 1 2 4\n", 5, "vertex 4, but the file has 3"),
+        ("f 1 2 4\n", 5, "vertex 4, but the file has only 3"),
         ("f 1 2 -4\n", 5, "`-4`"),
         ("f 0 1 2\n", 5, "`0`"),
         ("f 1 2 x\n", 5, "`x`"),
@@ -78,12 +83,12 @@ fn obj_errors_have_the_line_number() {
     }
     // Absolute indices can refer to later vertices, so the reader checks them at the end of the file.
     for (text, line, what) in [
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9", 4, "vertex 9, but the file has 3"),
-        ("f 1 2 3\nf 1 2 4\nf 1 2 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\n", 2, "vertex 4, but the file has 3"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9", 4, "vertex 9, but the file has only 3"),
+        ("f 1 2 3\nf 1 2 4\nf 1 2 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\n", 2, "vertex 4, but the file has only 3"),
         (
             "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1//2 2//1 3//1\nf 1 2 8\nvn 0 0 1\n",
             4,
-            "normal 2, but the file has 1",
+            "normal 2, but the file has only 1",
         ),
     ] {
         let error = read(text.as_bytes(), "a.obj").expect_err(text).to_string();

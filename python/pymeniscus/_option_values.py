@@ -24,7 +24,7 @@ class OptionValues(TypedDict, total=False):
     voxel_size : float | str
         Voxel edge length h, positive, in world units or particle spacings [default: 0.32d]
     radius_min : float | str
-        Radius r_min of the sphere around each particle, positive; the surface encloses these spheres, but particles in sheets and filaments get a flattened ellipsoid instead (`anisotropy`) [default: 0.68d, but no less than √3·h]
+        Radius r_min of the sphere around each particle, positive; the surface encloses the spheres around smoothed positions, but particles in sheets and filaments get a flattened ellipsoid instead (`anisotropy`) [default: 0.68d, but no less than √3·h]
     radius_ratio : float
         Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle, and r_max is at most 64h [default: 2.8]
     radius_init : float | str
@@ -34,7 +34,7 @@ class OptionValues(TypedDict, total=False):
     where : str | Sequence[bool] | NDArray[np.bool_]
         Use only the particles whose attributes meet this condition, such as 'phase == 0' or 'type in 1,2 and not (density < 500)'; comparisons are ==, !=, <, <=, >, >=, in and not in
     radius_attribute : str
-        Attribute with each particle's own radius, in the particles' unit of length, such as pscale. That radius becomes its r_min; r_init and r_max scale with it
+        Attribute with each particle's own radius, in world units, such as pscale. That radius becomes its r_min; r_init and r_max scale with it
     radius_scale : float
         Factor from a particle's own radius to its r_min, positive [default: 1]
     anisotropy : Literal["none", "neighbors", "velocity"]
@@ -50,7 +50,7 @@ class OptionValues(TypedDict, total=False):
     position_smoothing : float
         Move particles near the surface toward the mean of their neighbours by this fraction of the distance, 0 to 1 [default: 0.55]
     velocity_gain : float
-        Stretch each particle along its velocity by how far it moves in this time, relative to its r_min; positive, for `anisotropy` velocity [default: 0.01]
+        For `anisotropy` velocity: stretch each particle along its velocity by how far it moves in this time, in units of its r_min; positive [default: 0.01]
     void_threshold : float
         Fill gaps narrower than this between the surface and obstacles, in voxels, 0 to 4 [default: 1]
     velocity_scale : float
@@ -64,7 +64,7 @@ class OptionValues(TypedDict, total=False):
     fill_cavities : float
         Fill enclosed cavities with less volume than this, in h³, 0 to 1000000 [default: 25 d³, which is 763 h³ on the default grid]
     clip : str | Sequence[float]
-        Cut off everything outside the box x0,y0,z0,x1,y1,z1 (lower corner first), in the particles' unit of length
+        Cut off everything outside the box x0,y0,z0,x1,y1,z1 (lower corner first), in world units
     contour : Literal["dual", "tetrahedra"]
         How to convert the level set to triangles [default: dual]
     decimate : float
@@ -72,7 +72,7 @@ class OptionValues(TypedDict, total=False):
     smooth_normals : int
         Average normals with their neighbours this many times, 0 to 1000 [default: 0]
     quads : bool
-        Write the quads of dual contouring to formats with polygons, such as .obj, .usdc and .abc
+        Write the quads of dual contouring to formats with polygons, such as .obj, .usdc and .abc [default: false]
     integrator : Literal["fast", "implicit", "explicit", "adaptive"]
         Time integrator of the smoothing [default: fast]
     laplacian_steps : int

@@ -43,7 +43,7 @@ impl Console {
     }
 
     /// Sends all lines to the standard error from now on, because a file is written to the standard output.
-    pub(super) fn leave_out_to_a_file(&mut self) {
+    pub(super) fn print_to_stderr_only(&mut self) {
         self.out_is_taken = true;
     }
 

@@ -88,7 +88,7 @@ impl Destination {
                 out.display()
             );
         }
-        console.leave_out_to_a_file();
+        console.print_to_stderr_only();
         let folder = private_folder()?;
         let path = folder.path().to_owned();
         Ok((Destination::Stdout { folder, extension: format.extension() }, path, Some(format)))
@@ -206,10 +206,11 @@ fn refuse_other_extension(out: &Path) -> Result<()> {
     )
 }
 
-/// Refuses an extension with capital letters: the file would have another name. `extension` has none.
+/// Refuses an extension with capital letters: the file would have another name. `extension` is the path's own in lower
+/// case.
 ///
 /// # Errors
-/// If the path's extension is another one.
+/// If the path's extension differs from it.
 pub(super) fn refuse_capitals(out: &Path, extension: &str) -> Result<()> {
     if out.extension().is_some_and(|current| current != extension) {
         let (name, lower) = (out.display(), out.with_extension(extension));
@@ -221,7 +222,7 @@ pub(super) fn refuse_capitals(out: &Path, extension: &str) -> Result<()> {
 /// The error about a file that is not in the format of `--format`.
 pub(super) fn contradicts_format(out: &Path, extension: &str) -> anyhow::Error {
     let name = out.display();
-    anyhow!("{name}: --format asks for other files than .{extension}: leave --format out, or name a folder")
+    anyhow!("{name}: --format names a format other than .{extension}: leave --format out, or name a folder")
 }
 
 /// Whether a path ends like the name of a file, with a dot and a word that is not a version, and is not a folder.
@@ -358,9 +359,10 @@ impl StandardInput {
         let bytes = io::copy(&mut pipe.take(limit_bytes.saturating_add(1)), &mut file)
             .with_context(|| name.clone())?;
         match bytes {
-            0 => bail!("{name} is empty"),
+            0 => bail!("{name} is empty: check the program that writes into it"),
             bytes if bytes > limit_bytes => bail!(
-                "{name} is larger than the {limit_bytes} bytes that --memory allows: give more, or convert a file"
+                "{name} is larger than the {} MiB that --memory allows: raise --memory, or convert a file",
+                limit_bytes.div_ceil(1 << 20)
             ),
             _ => {}
         }
@@ -384,7 +386,8 @@ fn is_stdin(input: &Path) -> bool {
     ["-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0"].iter().any(|name| input == Path::new(name))
 }
 
-/// Whether an input is an open pipe. Named pipes are excluded: opening one may block forever.
+/// Whether an input is the standard input, or an open descriptor of anything but a regular file. Named pipes are
+/// excluded: opening one may block forever.
 fn is_pipe(input: &Path) -> bool {
     let is_descriptor =
         || ["/dev/fd", "/proc/self/fd"].iter().any(|folder| input.parent() == Some(Path::new(folder)));

@@ -249,7 +249,7 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
 /// that affects the surface, and thus all formats.
 fn formats_changed_by(name: &str) -> Option<Vec<OutputFormat>> {
     let write_option =
-        WriteOption::ALL.into_iter().find(|option| [option.key(), option.name()].contains(&name));
+        WriteOption::SETTINGS.into_iter().find(|option| [option.key(), option.name()].contains(&name));
     let is_of_mesh = MethodOptions::info(name).is_some_and(|info| info.group == OptionGroup::Mesh);
     let is_changed = |format: &OutputFormat| match write_option {
         Some(option) => format.has_option(option),
@@ -494,7 +494,7 @@ fn absolute_text(path: &Path) -> Result<String> {
 /// The output options for the written formats.
 fn format_keys(outputs: &OutputOptions) -> Vec<String> {
     let mut keys = Vec::new();
-    for option in WriteOption::ALL {
+    for option in WriteOption::SETTINGS {
         if option == WriteOption::Quads || !outputs.has_option(option) {
             continue;
         }

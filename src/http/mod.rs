@@ -7,8 +7,8 @@
 //!                 └──▶ files     outputs, by their names in the status store, and the page
 //! ```
 //!
-//! One thread serves all clients, and at most two more threads read files for it, so the conversion of frames
-//! loses at most the time of these threads to clients, however many there are. The server only reads. It
+//! One thread serves all clients, and at most two more read files for it, so that clients take at most three
+//! threads' time from the conversion, however many they are. The server only reads. It
 //! builds no path from a request: it looks names up in the status store, and serves nothing else.
 //! `docs/status-page.md` describes the interface for users.
 
@@ -69,7 +69,7 @@ struct ServerState {
     port: u16,
     /// Becomes true when the server closes.
     closing: watch::Receiver<bool>,
-    /// A permit for each further subscriber of events.
+    /// One permit for each subscriber of events that may still connect.
     subscribers: Arc<Semaphore>,
 }
 
@@ -145,7 +145,7 @@ impl HttpServer {
         let thread = thread::Builder::new().name("http".to_owned()).stack_size(STACK_BYTES);
         let thread = thread.spawn(move || {
             if let Err(error) = runtime.block_on(serve(limits, listener, routes(state), is_closing)) {
-                tracing::error!("the status page and the API have stopped: {error}; the daemon continues");
+                tracing::error!("the status page and the API have stopped: {error}; the daemon continues: restart it to have them back");
             }
             // Does not wait for threads that still read a file.
             runtime.shutdown_background();
@@ -270,8 +270,7 @@ async fn check(request: Request, next: Next) -> Response {
     response
 }
 
-/// Closes the connection after this response, because anything else that the client sends on it would be
-/// ignored.
+/// Closes the connection after this response, because the body of a refused request is not read.
 fn refusal(status: StatusCode, what: &'static str) -> Response {
     (status, [(header::CONNECTION, "close")], format!("{what}\n")).into_response()
 }
@@ -293,7 +292,8 @@ async fn require_token(State(state): Shared, request: Request, next: Next) -> Re
         // The address that the browser shows and keeps has no token.
         return ([(header::SET_COOKIE, token.cookie(state.port))], Redirect::to("/")).into_response();
     }
-    let what = "a token is required: open /?token=TOKEN, or send it as an Authorization: Bearer header\n";
+    let what =
+        "the token is missing or wrong: open /?token=TOKEN, or send it as an Authorization: Bearer header\n";
     (StatusCode::UNAUTHORIZED, [(header::WWW_AUTHENTICATE, "Bearer")], what).into_response()
 }
 
@@ -331,14 +331,14 @@ impl AccessToken {
     /// Whether a request to the server at this port carries the token: as `Authorization: Bearer`, or in the
     /// cookie.
     fn is_in(&self, headers: &HeaderMap, port: u16) -> bool {
-        let bearer =
-            headers.get(AUTHORIZATION).and_then(|value| value.to_str().ok()?.strip_prefix("Bearer "));
+        let bearer = headers.get(AUTHORIZATION).and_then(|value| value.to_str().ok()?.split_once(' '));
         let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
         let name = cookie_name(port);
         let mut given = cookies
             .flat_map(|cookies| cookies.split(';'))
             .filter_map(|cookie| cookie.trim().strip_prefix(&name)?.strip_prefix('='));
-        bearer.is_some_and(|bearer| self.is(bearer)) || given.any(|given| self.is(given))
+        bearer.is_some_and(|(scheme, given)| scheme.eq_ignore_ascii_case("bearer") && self.is(given))
+            || given.any(|given| self.is(given))
     }
 
     /// The cookie that makes a browser send the token to the server at this port.
@@ -360,7 +360,7 @@ impl fmt::Debug for AccessToken {
 }
 
 /// Whether a request names this machine by an address or as `localhost`, with or without a port. Any port and
-/// any address are accepted: a tunnel has others than this machine, and no web site can choose them.
+/// any address are accepted: through a tunnel a client uses those of its other end, and no web site can choose them.
 fn is_for_this_machine(request: &Request) -> bool {
     let mut hosts = request.headers().get_all(HOST).iter();
     let (Some(host), None) = (hosts.next(), hosts.next()) else { return false };
@@ -382,7 +382,6 @@ mod tests {
 
     use axum::body::Body;
 
-    /// A server for one connection at a time.
     #[test]
     fn client_that_is_slower_than_a_limit_is_disconnected() {
         let (soon, never) = (Duration::from_millis(200), Duration::from_secs(3600));
@@ -392,6 +391,7 @@ mod tests {
             ("sends half a request", "GET / HTTP/1.1\r\nHost: localhost\r\n", soon, never),
             ("does not read", &page, never, soon),
         ] {
+            // With one connection at a time, the next client waits for the end of this one.
             let limits = ClientLimits { connections_max: 1, request_timeout, write_timeout };
             let listen = Listen { address: "127.0.0.1:0".parse().expect("an address"), token: None };
             let store = Arc::new(StatusStore::new());
@@ -453,6 +453,7 @@ mod tests {
             token.is_in(&HeaderMap::from_iter([(name, value)]), 7700)
         };
         assert!(is_in(AUTHORIZATION, "Bearer 0123456789abcdef"));
+        assert!(is_in(AUTHORIZATION, "bearer 0123456789abcdef"));
         assert!(is_in(COOKIE, "a=b; meniscus_token_7700=0123456789abcdef"));
         assert!(is_in(COOKIE, "meniscus_token_7701=x; meniscus_token_7700=0123456789abcdef"));
         assert!(!is_in(AUTHORIZATION, "0123456789abcdef"));

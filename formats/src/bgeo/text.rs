@@ -42,7 +42,7 @@ pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         if found != name.as_bytes() {
             return Err(words.expected(name, found));
         }
-        let count: u32 = words.number(name)?;
+        let count: u32 = words.number(&format!("the number after {name}"))?;
         match *name {
             "NPoints" => point_count = count as usize,
             "NPointAttrib" => attribute_count = count as usize,
@@ -103,10 +103,12 @@ fn dictionary(words: &mut WordReader, count: usize, limits: &Limits) -> Result<V
     if title != b"PointAttrib" {
         return Err(words.expected("PointAttrib", title));
     }
-    (0..count).map(|_| column(words, limits)).collect()
+    let mut string_count = 0;
+    (0..count).map(|_| column(words, &mut string_count, limits)).collect()
 }
 
-fn column(words: &mut WordReader, limits: &Limits) -> Result<TextColumn> {
+/// One attribute of the dictionary. `string_count` counts the strings of all attributes.
+fn column(words: &mut WordReader, string_count: &mut usize, limits: &Limits) -> Result<TextColumn> {
     let name = String::from_utf8_lossy(words.next("the name of an attribute")?).into_owned();
     let arity: u16 = words.number("the size of an attribute")?;
     let arity = usize::from(arity);
@@ -127,15 +129,19 @@ fn column(words: &mut WordReader, limits: &Limits) -> Result<TextColumn> {
             // A string takes dozens of bytes of memory, but as few as two in the file: without this limit, a
             // small file could use much memory.
             let most = (1 << 16) + words.bytes.len() / 16;
-            if count as usize > most {
+            *string_count = string_count.saturating_add(count as usize);
+            if *string_count > most {
                 return Err(Error::too_large(
                     FORMAT,
-                    format!("the file has {count} strings, more than the limit of {most}"),
+                    format!(
+                        "with the attribute `{}`, the file has {string_count} strings, more than the limit of {most}",
+                        excerpt(&name)
+                    ),
                 ));
             }
             for _ in 0..count {
                 let text = words.next("a string")?;
-                table.push(String::from_utf8_lossy(text.trim_ascii()).trim_matches('"').to_owned());
+                table.push(String::from_utf8_lossy(text).trim_matches('"').to_owned());
             }
             TextValues::Indices(Vec::new())
         }
@@ -152,19 +158,22 @@ fn column(words: &mut WordReader, limits: &Limits) -> Result<TextColumn> {
 fn points(words: &mut WordReader, count: usize, columns: &mut [TextColumn]) -> Result<Vec<[f32; 3]>> {
     const POINT_BYTES_MIN: usize = 8; // four numbers and their separators
     let remaining = words.bytes.len() - words.at;
+    // The last number needs no separator.
     if count.saturating_mul(POINT_BYTES_MIN) > remaining + 1 {
         return Err(words.truncated(format!("expected {count} points, but only {remaining} bytes remain")));
     }
+    let value_of = |column: &TextColumn| format!("a value of the attribute `{}`", excerpt(&column.name));
+    let descriptions: Vec<String> = columns.iter().map(value_of).collect();
     let mut positions = Vec::with_capacity(count);
     for _ in 0..count {
         let mut coordinate = || words.number::<f32>("a coordinate of a point");
         positions.push(divided([coordinate()?, coordinate()?, coordinate()?, coordinate()?]));
-        for TextColumn { name, arity, values, .. } in &mut *columns {
+        for (TextColumn { arity, values, .. }, what) in columns.iter_mut().zip(&descriptions) {
             for _ in 0..*arity {
                 match values {
-                    TextValues::Reals(values) => values.push(words.number(name)?),
+                    TextValues::Reals(values) => values.push(words.number(what)?),
                     TextValues::Integers(values) | TextValues::Indices(values) => {
-                        values.push(words.number(name)?);
+                        values.push(words.number(what)?);
                     }
                 }
             }
@@ -263,6 +272,12 @@ mod tests {
                 "at line 7: expected float, int, vector or index, found `half`",
             ),
             (TEXT.replace("life 2", "life 0"), "has 0 values"),
+            (TEXT.replace("NPoints 2", "NPoints two"), "expected the number after NPoints, found `two`"),
+            (TEXT.replace("(-1.2", "(low"), "expected a value of the attribute `life`, found `low`"),
+            (
+                TEXT.replace("index 2 \"a b\" c", "index 4294967295 a"),
+                "with the attribute `part`, the file has 4294967295 strings",
+            ),
         ];
         for (text, words) in table {
             let error = read_text(text.as_bytes(), &Limits::default()).unwrap_err().to_string();

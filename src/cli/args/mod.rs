@@ -115,8 +115,8 @@ option_set! {
         #[arg(long)]
         pub(super) skip_done: bool,
 
-        /// Maximum distance by which smoothing may move the surface of a .vdb level set, in voxels, 0 to 3
-        /// [default: 0]
+        /// For .vdb level sets only: maximum distance by which smoothing may move the surface, in voxels, 0 to 3; 0
+        /// leaves it unchanged [default: 0]
         ///
         /// By default a level set is converted to a mesh unchanged. With a value above 0 it is first replaced
         /// by the smoothest surface within that distance. The voxel size is that of the file. Options for
@@ -124,15 +124,15 @@ option_set! {
         #[arg(long, value_name = "VOXELS", allow_negative_numbers = true, value_parser = deviation())]
         pub(super) max_deviation: Option<f64>,
 
-        /// Write the particles unchanged, without a surface, as ply or, if asked for, as vtp
+        /// Write the particles unchanged, without a surface, as ply, or as vtp with --format vtp
         ///
         /// Every attribute keeps its name and type, and positions keep 64 bits. Options for surfaces are
         /// refused.
         #[arg(long)]
         pub(super) particles_only: bool,
 
-        /// Convert only part K of N of the frames, and skip finished ones: 1/60, or slurm for the task of a
-        /// job array
+        /// Convert only part K of N of the frames, and skip finished ones: such as 1/60; slurm takes K
+        /// and N from the job array
         ///
         /// The parts are consecutive frames. Each part measures the settings on the same frames, so together
         /// the parts write the files of a single run. The folder of the results must exist.

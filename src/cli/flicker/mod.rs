@@ -120,7 +120,8 @@ struct Scoring<'a> {
 }
 
 impl Scoring<'_> {
-    /// The scores of a frame; `None` if its mesh is empty, or if it or a neighbour cannot be read.
+    /// The scores of a frame; `None` if its mesh is empty, if it or a neighbour cannot be read, or if no particles
+    /// were found yet.
     ///
     /// # Errors
     /// If the particles have neither ids nor velocities, or have only velocities and the time between frames
@@ -215,7 +216,7 @@ impl Scoring<'_> {
             Carrier::Velocities { .. } => ("the particles have no velocities", "velocity"),
         };
         console.error(format_args!(
-            "{}: {lacking}, unlike those of the first frame: write `{attribute}` with the particles of every frame",
+            "{}: {lacking}, unlike those of the first frame with particles: write `{attribute}` with the particles of every frame",
             shown(&files.particles)
         ));
         Ok(None)
@@ -231,7 +232,7 @@ impl Scoring<'_> {
             Ok(Carrier::Ids)
         } else if !frame.has(velocities) {
             bail!(
-                "{}: the particles have neither velocities nor ids of their own, and one of them is needed to follow their motion: \
+                "{}: the particles have neither velocities nor unique ids, and one of them is needed to follow their motion: \
                  write `id` or `velocity` with the particles",
                 shown(particles)
             )
@@ -346,13 +347,13 @@ fn refuse_outputs(args: &FlickerArgs, frames: &FlickerFrames) -> Result<()> {
 // Matches meshes with particles, and finds the frames that have both neighbours.
 //
 // ```text
-//   meshes      1     3     5  6              7
-//   particles   1  2  3  4  5     6  7        the frames with both: 1, 3, 5, 6, 7
+//   meshes      1     3     5  6  7
+//   particles   1  2  3  4  5  6  7           the frames with both: 1, 3, 5, 6, 7
 //                                             step: the greatest common divisor of their differences, 1
 //                                             frame 6 is scored, because 5 and 7 are in the list
 // ```
 //
-// Names with times are matched by their times, and counted in steps of the median difference.
+// Files with times are matched by their times, and numbered in steps of the median difference.
 
 /// The files of a frame.
 #[derive(Clone, Debug)]
@@ -410,19 +411,16 @@ fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerFrames> {
     refuse_times(args.frames.as_ref(), [&meshes, &particles])?;
     let name = meshes.name.clone();
     let particle_paths = particles.frames.iter().map(|file| file.path.clone()).collect();
-    let numbers = NumbersOfTimes::of(&particles);
-    let mesh_count = meshes.frames.len();
-    meshes.frames.retain(|file| !file.has_time() || numbers.number(file).is_some());
-    if meshes.frames.len() < mesh_count {
-        let unmatched = pluralize(mesh_count - meshes.frames.len(), "mesh file");
-        console.warning(format_args!("{name}: no particles have the time of {unmatched}: not used"));
-    }
-    let (meshes, mut particles) = (numbers.sort(meshes)?, numbers.sort(particles)?);
+    let times = NumbersOfTimes::of(&particles);
+    times.leave_out_other_times(&mut meshes, console);
+    let (meshes, mut particles) = (times.sort(meshes)?, times.sort(particles)?);
     let mut unaveraged = match &args.unaveraged[..] {
         [] => BTreeMap::new(),
         given => {
             let given = with_files_of_folders(given, &formats, "meshes")?;
-            numbers.sort(one_sequence(&given, "unaveraged meshes", console)?)?
+            let mut given = one_sequence(&given, "unaveraged meshes", console)?;
+            times.leave_out_other_times(&mut given, console);
+            times.sort(given)?
         }
     };
     let particle_numbers: Vec<i64> = particles.keys().copied().collect();
@@ -441,12 +439,12 @@ fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerFrames> {
         }
     }
     if !alone.is_empty() {
-        console.warning(format_args!("{name}: no particles for {}: not used", listed(&alone)));
+        console.warning(format_args!("{name}: no particles for {}: not used", times.listed(&alone)));
     }
     let numbers: Vec<i64> = files.keys().copied().collect();
     if numbers.len() < 3 {
         bail!(
-            "{name}: {} both a mesh and particles, matched by their frame numbers, and three frames are needed",
+            "{name}: {} both a mesh and particles, and three are needed: check that their frame numbers or times agree",
             if numbers.len() == 1 {
                 "1 frame has".to_owned()
             } else {
@@ -455,38 +453,41 @@ fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerFrames> {
         );
     }
     let step = i64::try_from(common_step(&numbers)).unwrap_or(i64::MAX);
-    let has_both = |number: &i64| {
+    let has_neighbors = |number: &i64| {
         let neighbors = number.checked_sub(step).zip(number.checked_add(step));
         neighbors.is_some_and(|(before, after)| files.contains_key(&before) && files.contains_key(&after))
     };
     let inner = &numbers[1..numbers.len() - 1];
-    let (scored, skipped): (Vec<i64>, Vec<i64>) = inner.iter().copied().partition(has_both);
-    if scored.is_empty() {
+    let (with_neighbors, skipped): (Vec<i64>, Vec<i64>) = inner.iter().copied().partition(has_neighbors);
+    if with_neighbors.is_empty() {
         bail!(
             "{name}: no three frames follow each other: {} both a mesh and particles",
-            listed_with(&numbers, ["has", "have"])
+            times.listed_with(&numbers, ["has", "have"])
         );
     }
     if !skipped.is_empty() {
         console.warning(format_args!(
             "{name}: {} not scored: the mesh or the particles of a neighbour are missing",
-            listed_with(&skipped, ["is", "are"])
+            times.listed_with(&skipped, ["is", "are"])
         ));
     }
     let is_selected = |number: &i64| {
         args.frames.as_ref().is_none_or(|selection: &FrameSelection| selection.contains(*number))
     };
-    let scored: Vec<i64> = scored.into_iter().filter(is_selected).collect();
+    let scored: Vec<i64> = with_neighbors.iter().copied().filter(is_selected).collect();
     if scored.is_empty() {
-        bail!("--frames selects none of the frames that have both neighbours");
+        bail!(
+            "--frames selects none of the frames that have both neighbours: {}",
+            times.listed(&with_neighbors)
+        );
     }
     if !args.unaveraged.is_empty() {
         let lacks = |number: &i64| files.get(number).is_some_and(|files| files.unaveraged.is_none());
         let lacking: Vec<i64> = scored.iter().copied().filter(lacks).collect();
         if !lacking.is_empty() {
             console.warning(format_args!(
-                "--unaveraged: no mesh for {}: their lag is not measured",
-                listed(&lacking)
+                "--unaveraged: no mesh for {}: the lag is not measured there",
+                times.listed(&lacking)
             ));
         }
     }
@@ -501,13 +502,16 @@ fn one_sequence(inputs: &[PathBuf], what: &str, console: &mut Console) -> Result
 }
 
 /// The numbers that stand for the times in names of particles; empty if the names have frame numbers.
+#[derive(Default)]
 struct NumbersOfTimes {
     /// By the bits of the time.
     numbers: HashMap<u64, i64>,
+    /// By the number.
+    times: BTreeMap<i64, f64>,
 }
 
 impl NumbersOfTimes {
-    /// Times that are a median difference apart, or less, have consecutive numbers. Longer differences, where
+    /// Times that are up to 1.5 median differences apart have consecutive numbers. Longer differences, where
     /// frames are missing, are rounded to such steps.
     fn of(particles: &Sequence) -> NumbersOfTimes {
         let with_times = particles.frames.iter().filter(|file| file.has_time());
@@ -515,14 +519,29 @@ impl NumbersOfTimes {
         let mut differences: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
         differences.sort_by(f64::total_cmp);
         let median = differences.get(differences.len() / 2).copied().unwrap_or(1.0);
+        let mut of_times = NumbersOfTimes::default();
         let mut number = 1;
-        let mut numbers: HashMap<u64, i64> =
-            times.first().map(|time| (time.to_bits(), 1)).into_iter().collect();
-        for pair in times.windows(2) {
-            number += ((pair[1] - pair[0]) / median).round().clamp(1.0, STEPS_MAX) as i64;
-            numbers.insert(pair[1].to_bits(), number);
+        for (index, &time) in times.iter().enumerate() {
+            if let Some(before) = index.checked_sub(1) {
+                number += ((time - times[before]) / median).round().clamp(1.0, STEPS_MAX) as i64;
+            }
+            of_times.numbers.insert(time.to_bits(), number);
+            of_times.times.insert(number, time);
         }
-        NumbersOfTimes { numbers }
+        of_times
+    }
+
+    /// Leaves out the meshes whose times no particles have, with a warning.
+    fn leave_out_other_times(&self, meshes: &mut Sequence, console: &mut Console) {
+        let count = meshes.frames.len();
+        meshes.frames.retain(|file| !file.has_time() || self.number(file).is_some());
+        if meshes.frames.len() < count {
+            let unmatched = pluralize(count - meshes.frames.len(), "mesh file");
+            console.warning(format_args!(
+                "{}: no particles have the time of {unmatched}: not used",
+                meshes.name
+            ));
+        }
     }
 
     fn number(&self, file: &FrameFile) -> Option<i64> {
@@ -538,33 +557,40 @@ impl NumbersOfTimes {
             };
             if let Some(other) = files.get(&number) {
                 bail!(
-                    "{} and {} are both frame {number}: subframes cannot be scored",
+                    "{} and {} are both {}: subframes cannot be scored",
                     shown(&other.path),
-                    shown(&file.path)
+                    shown(&file.path),
+                    self.listed(&[number])
                 );
             }
             files.insert(number, file);
         }
         Ok(files)
     }
+
+    /// Frames by their numbers or times.
+    fn listed(&self, numbers: &[i64]) -> String {
+        let distinct: BTreeSet<i64> = numbers.iter().copied().collect();
+        let name = |number: &i64| match self.times.get(number) {
+            Some(time) => time.to_string(),
+            None => number.to_string(),
+        };
+        let mut names: Vec<String> = distinct.iter().take(NUMBERS_NAMED).map(name).collect();
+        if distinct.len() > NUMBERS_NAMED {
+            names.push(format!("and {} more", distinct.len() - NUMBERS_NAMED));
+        }
+        let kind = if self.times.is_empty() { "frame" } else { "time" };
+        format!("{kind}{} {}", if distinct.len() == 1 { "" } else { "s" }, names.join(", "))
+    }
+
+    /// Frames by their numbers or times, followed by `one` if there is one frame, or else by `several`.
+    fn listed_with(&self, numbers: &[i64], [one, several]: [&str; 2]) -> String {
+        format!("{} {}", self.listed(numbers), if numbers.len() == 1 { one } else { several })
+    }
 }
 
 /// The most steps between two times.
 const STEPS_MAX: f64 = 1e6;
-
-fn listed(numbers: &[i64]) -> String {
-    let distinct: BTreeSet<i64> = numbers.iter().copied().collect();
-    let mut names: Vec<String> = distinct.iter().take(NUMBERS_NAMED).map(i64::to_string).collect();
-    if distinct.len() > NUMBERS_NAMED {
-        names.push(format!("and {} more", distinct.len() - NUMBERS_NAMED));
-    }
-    format!("{} {}", if distinct.len() == 1 { "frame" } else { "frames" }, names.join(", "))
-}
-
-/// The numbers of frames as text, followed by `one` if there is one frame, or else by `several`.
-fn listed_with(numbers: &[i64], [one, several]: [&str; 2]) -> String {
-    format!("{} {}", listed(numbers), if numbers.len() == 1 { one } else { several })
-}
 
 // Reads a frame from its two files.
 
@@ -598,13 +624,17 @@ mod tests {
     use super::*;
     use crate::pipeline::sequences;
 
+    fn sequence_of_times() -> Sequence {
+        let names = ["p_0.9667.ply", "p_1.0000.ply", "p_1.0333.ply", "p_1.1000.ply"];
+        let found = sequences(names.map(|name| FrameFile::new(name.into())).to_vec());
+        let [particles] = found.try_into().expect("one sequence");
+        particles
+    }
+
     #[test]
     fn times_are_counted_in_steps() {
-        let names = ["p_0.9667.ply", "p_1.0000.ply", "p_1.0333.ply", "p_1.1000.ply"];
-        let [particles] = &sequences(names.map(|name| FrameFile::new(name.into())).to_vec())[..] else {
-            panic!("one sequence")
-        };
-        let numbers = NumbersOfTimes::of(particles);
+        let particles = sequence_of_times();
+        let numbers = NumbersOfTimes::of(&particles);
         let found: Vec<Option<i64>> = particles.frames.iter().map(|file| numbers.number(file)).collect();
         assert_eq!(found, [Some(1), Some(2), Some(3), Some(5)]);
         // The mesh of a time need not have the same decimals.
@@ -615,8 +645,11 @@ mod tests {
 
     #[test]
     fn long_lists_are_shortened() {
+        let listed = |numbers: &[i64]| NumbersOfTimes::default().listed(numbers);
         assert_eq!(listed(&[7]), "frame 7");
-        assert_eq!(listed_with(&[7, 9], ["is", "are"]), "frames 7, 9 are");
+        let with_verb = NumbersOfTimes::default().listed_with(&[7, 9], ["is", "are"]);
+        assert_eq!(with_verb, "frames 7, 9 are");
+        assert_eq!(NumbersOfTimes::of(&sequence_of_times()).listed(&[1, 5]), "times 0.9667, 1.1");
         assert_eq!(listed(&(1..=10).collect::<Vec<_>>()), "frames 1, 2, 3, 4, 5, 6, 7, 8, and 2 more");
     }
 }

@@ -2,8 +2,8 @@
 //!
 //! ```text
 //!   inputs, outputs, plans, settings    open_regular   links are followed; only a regular file is opened
-//!   temporary files, served outputs     open_itself    the last part of the path is not a link, either
-//!   lock, records                       open_own       nor is the folder that contains it
+//!   temporary files, served outputs     open_itself    refuses a link as the last part of the path
+//!   lock, records                       open_own       also refuses a link as its folder
 //! ```
 //!
 //! Opening a named pipe waits until a process opens its other end, which may be never. Opening a file for
@@ -20,7 +20,8 @@ use super::identity::is_still_at;
 /// shells write `<(zcat dam.ply.gz)` as `/dev/fd/63`.
 ///
 /// # Errors
-/// When the system reports an error; `InvalidInput` if the file is not a regular file.
+/// When the system reports an error; `IsADirectory` for a folder, and `InvalidInput` for anything else that is not a
+/// regular file.
 pub fn open_regular(path: &Path) -> io::Result<File> {
     if is_own_descriptor(path) {
         return File::open(path);
@@ -29,8 +30,8 @@ pub fn open_regular(path: &Path) -> io::Result<File> {
     // continue, and opening a device may act on it.
     require_regular(&path.metadata()?)?;
     let file = match without_waiting(File::options().read(true)).open(path) {
-        // An open with `O_NONBLOCK` fails while a file server recalls the file from another client. That
-        // takes a moment, for which a blocking open waits.
+        // An open with `O_NONBLOCK` fails while another process holds a lease on the file. The system takes the
+        // lease away within a moment, for which a blocking open waits.
         Err(error) if error.kind() == io::ErrorKind::WouldBlock => File::open(path),
         file => file,
     }?;
@@ -69,7 +70,8 @@ pub fn read_regular_text(path: &Path) -> io::Result<String> {
 /// Opens a regular file; a link at its path is not followed.
 ///
 /// # Errors
-/// When the system reports an error; `InvalidInput` if the file is not a regular file.
+/// When the system reports an error; `IsADirectory` for a folder, and `InvalidInput` for anything else that is not a
+/// regular file.
 pub fn open_itself(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     match path.symlink_metadata() {
         Ok(metadata) => require_regular(&metadata)?,
@@ -77,7 +79,13 @@ pub fn open_itself(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
         Err(error) => return Err(error),
     }
-    let file = without_links(options).open(path)?;
+    let file = match without_links(options, Waiting::No).open(path) {
+        // A lease, as in `open_regular`.
+        Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+            without_links(options, Waiting::Yes).open(path)
+        }
+        file => file,
+    }?;
     require_regular(&file.metadata()?)?;
     Ok(file)
 }
@@ -86,14 +94,17 @@ pub fn open_itself(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
 /// be a link.
 ///
 /// # Errors
-/// When the system reports an error; `InvalidInput` for a link, or if the file is not a regular file.
+/// Those of [`open_itself`]; `InvalidInput` for a link, and if another process replaces the file meanwhile.
 pub fn open_own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     require_own_folder(path)?;
     let file = open_itself(path, options)?;
-    // Detects a folder that was replaced by a link during the open, before anything is written.
+    // Detects a folder that was replaced by a link during the open, before content is written.
     require_own_folder(path)?;
     if !is_still_at(path, &file) {
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, "replaced while it was opened"));
+        return Err(io::Error::new(
+            io::ErrorKind::InvalidInput,
+            "another process replaced this file while it was opened: try again",
+        ));
     }
     Ok(file)
 }
@@ -119,8 +130,10 @@ pub(crate) fn require_no_links(folder: &Path, depth: usize) -> io::Result<()> {
     for part in folder.ancestors().take(depth) {
         match part.symlink_metadata() {
             Ok(metadata) if metadata.is_symlink() => {
-                let what =
-                    format!("{} is a symbolic link: outputs are not written through it", part.display());
+                let what = format!(
+                    "{} is a symbolic link, and outputs are not written through it: replace it by a folder",
+                    part.display()
+                );
                 return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
             }
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
@@ -177,6 +190,13 @@ fn name_of_special(_kind: FileType) -> &'static str {
     "a file of unknown type"
 }
 
+/// Whether opening a file may wait for another process.
+#[derive(Clone, Copy)]
+enum Waiting {
+    No,
+    Yes,
+}
+
 #[cfg(unix)]
 fn without_waiting(options: &mut OpenOptions) -> &mut OpenOptions {
     use std::os::unix::fs::OpenOptionsExt;
@@ -189,14 +209,18 @@ fn without_waiting(options: &mut OpenOptions) -> &mut OpenOptions {
 }
 
 #[cfg(unix)]
-fn without_links(options: &mut OpenOptions) -> &mut OpenOptions {
+fn without_links(options: &mut OpenOptions, waiting: Waiting) -> &mut OpenOptions {
     use rustix::fs::OFlags;
     use std::os::unix::fs::OpenOptionsExt;
-    options.custom_flags((OFlags::NONBLOCK | OFlags::NOFOLLOW).bits() as i32)
+    let flags = match waiting {
+        Waiting::No => OFlags::NONBLOCK | OFlags::NOFOLLOW,
+        Waiting::Yes => OFlags::NOFOLLOW,
+    };
+    options.custom_flags(flags.bits() as i32)
 }
 
 #[cfg(not(unix))]
-fn without_links(options: &mut OpenOptions) -> &mut OpenOptions {
+fn without_links(options: &mut OpenOptions, _waiting: Waiting) -> &mut OpenOptions {
     options
 }
 
@@ -251,10 +275,7 @@ mod tests {
         let path = |name: &str| folder.path().join(name);
         fs::write(path("precious"), "precious").expect("written");
         symlink(path("precious"), path("link")).expect("a link");
-        assert_eq!(
-            fs::read(open_regular(&path("link")).map(|_| path("link")).expect("followed")).expect("read"),
-            b"precious"
-        );
+        assert_eq!(read_regular(&path("link")).expect("followed"), b"precious");
         let open = |path: &Path| open_own(path, OpenOptions::new().write(true).create(true).truncate(true));
         assert_eq!(words(open(&path("link"))), "not a regular file: a symbolic link");
         // Opening a dangling link would create a file at its target.

@@ -268,7 +268,7 @@ pub(crate) fn chosen_options(options: &OutputOptions, settings: &Settings) -> Pa
         _ => options.has_option(option) && !options.is_default(option),
     };
     let name = |option: WriteOption| if OF_PICTURES.contains(&option) { option.name() } else { option.key() };
-    let chosen = WriteOption::ALL.into_iter().filter(|option| is_chosen(*option));
+    let chosen = WriteOption::SETTINGS.into_iter().filter(|option| is_chosen(*option));
     chosen.map(|option| (name(option), options.value(option))).collect()
 }
 

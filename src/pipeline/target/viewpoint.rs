@@ -298,8 +298,7 @@ impl ParsedCamera {
             },
             "ground" if value == "none" => put(&mut self.ground, key, Ground::None),
             "ground" => {
-                let height =
-                    number().ok_or_else(|| wrong("a height in the particles' unit of length, or none"))?;
+                let height = number().ok_or_else(|| wrong("a height in world units, or none"))?;
                 put(&mut self.ground, key, Ground::At(height))
             }
             _ => Err(format!("unknown key `{key}`: expected one of {KEYS}")),

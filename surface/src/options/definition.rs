@@ -83,8 +83,8 @@ method_options! {
             voxel_size: Length,
         }
         Surface {
-            /// Radius r_min of the sphere around each particle, positive; the surface encloses these spheres,
-            /// but particles in sheets and filaments get a flattened ellipsoid instead (--anisotropy)
+            /// Radius r_min of the sphere around each particle, positive; the surface encloses the spheres
+            /// around smoothed positions, but particles in sheets and filaments get a flattened ellipsoid instead (--anisotropy)
             /// [default: 0.68d, but no less than √3·h]
             #[value(named("LENGTH"))]
             radius_min: Length,
@@ -110,7 +110,7 @@ method_options! {
             #[value(named("CONDITION"))]
             r#where: ParticleFilter,
 
-            /// Attribute with each particle's own radius, in the particles' unit of length, such as pscale.
+            /// Attribute with each particle's own radius, in world units, such as pscale.
             /// That radius becomes its r_min; r_init and r_max scale with it
             #[value(named("NAME"))]
             radius_attribute: String,
@@ -151,8 +151,8 @@ method_options! {
             #[value(named("FRACTION"))]
             position_smoothing: f64 in 0.0..=1.0,
 
-            /// Stretch each particle along its velocity by how far it moves in this time, relative to its
-            /// r_min; positive, for --anisotropy velocity [default: 0.01]
+            /// For --anisotropy velocity: stretch each particle along its velocity by how far it moves in this
+            /// time, in units of its r_min; positive [default: 0.01]
             #[value(named("SECONDS"))]
             velocity_gain: f64
                 => [OptionName::with_value("anisotropy", "velocity")],
@@ -208,8 +208,8 @@ method_options! {
             #[value(named("VOLUME"))]
             fill_cavities: f64 in 0.0..=CAVITY_VOXELS_MAX,
 
-            /// Cut off everything outside the box x0,y0,z0,x1,y1,z1 (lower corner first), in the particles'
-            /// unit of length
+            /// Cut off everything outside the box x0,y0,z0,x1,y1,z1 (lower corner first), in world
+            /// units
             #[value(named("BOX").signed())]
             clip: ClipBox,
         }
@@ -228,7 +228,7 @@ method_options! {
             smooth_normals: u32 in 0..=ROUNDS_MAX,
 
             /// Write the quads of dual contouring to formats with polygons, such as .obj, .usdc and .abc;
-            /// --quads=false overrides the key in a configuration file
+            /// --quads=false overrides the key in a configuration file [default: false]
             #[value(named("BOOL").or_omitted("true"))]
             quads: bool,
         }

@@ -8,9 +8,9 @@
 //!   d d d d d d d d d      d  deep: particles here are left unchanged
 //! ```
 //!
-//! Whether a particle is in the vicinity depends only on the octants that are within the depth plus r_init of
-//! it (and a few voxels of rounding) on each axis, and on the longest particle of its leaf. It does not
-//! depend on windows or batches.
+//! Each voxel has eight octants, and a particle covers voxels by the octant that it is in. Whether a particle is in the
+//! vicinity depends only on the occupied octants within the depth plus r_init of it (and a few voxels of rounding) on
+//! each axis, and on the longest particle of its leaf. It does not depend on windows or batches.
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
@@ -95,11 +95,11 @@ impl Vicinity {
         };
         let mut deep: Vec<LeafMask> = neighborhoods.par_iter().halved().map(covered).collect();
         drop(octants);
-        // Leaves with long particles need more depth. Depths are rounded up to a few classes.
+        // Leaves with long particles need more depth. The longest semi-axis is rounded up to a power of two.
         let class_of = |longest: f32| longest.max(1.0).log2().ceil() as u32;
-        let longest: Vec<u32> =
+        let classes: Vec<u32> =
             leaves.origins().iter().map(|&origin| class_of(occupancy.longest_of(origin))).collect();
-        let class_max = longest.iter().copied().max().unwrap_or(0);
+        let class_max = classes.iter().copied().max().unwrap_or(0);
         let mut cells = vec![LeafMask::EMPTY; leaves.len()];
         let mut depth = 0.0;
         for class in 0..=class_max {
@@ -107,7 +107,7 @@ impl Vicinity {
             deep = shrunk_by_ball(&neighborhoods, deep, wanted - depth);
             depth = depth.max(wanted);
             let of_class =
-                cells.par_iter_mut().zip(&deep).zip(&longest).halved().filter(|(_, of)| **of == class);
+                cells.par_iter_mut().zip(&deep).zip(&classes).halved().filter(|(_, of)| **of == class);
             of_class.for_each(|((cells, deep), _)| *cells = deep.complement());
         }
         drop(deep);
@@ -138,11 +138,13 @@ impl Vicinity {
             leaves_of_boxes(&[(leaves.origins()[leaf], voxels)], |origin| leaves.find(origin).is_some())
         };
         let mut blocks: Vec<GatherBlock> = Vec::new();
+        // Full, so that the first leaf begins a block.
         let mut count = usize::MAX;
-        let across = (2 * margin.max(0) as usize).div_ceil(LEAF_EDGE as usize) + 2;
-        for near in near.chunks((LISTED_MAX / across.pow(3)).max(1)) {
-            let all_around: Vec<Vec<IVec3>> = near.par_iter().halved().map(around).collect();
-            for (&leaf, around) in near.iter().zip(all_around) {
+        // The most leaves along an axis that the cells of one leaf and the margin around them can meet.
+        let across_max = (2 * margin.max(0) as usize).div_ceil(LEAF_EDGE as usize) + 2;
+        for chunk in near.chunks((LISTED_MAX / across_max.pow(3)).max(1)) {
+            let all_around: Vec<Vec<IVec3>> = chunk.par_iter().halved().map(around).collect();
+            for (&leaf, around) in chunk.iter().zip(all_around) {
                 if count >= particles_max {
                     blocks.push(GatherBlock::default());
                     count = 0;
@@ -240,16 +242,16 @@ const CROWD_MIN: usize = 8 * LEAF_VOXELS;
 /// Maximum erosion per step, in voxels: the search box of a cell must lie within the adjacent leaves.
 const STEP_MAX: i32 = 7;
 
-/// Erodes by a cube: keeps the cells of each leaf whose search box, from `around` voxels before to `around`
+/// Erodes by a cube: keeps the cells of each leaf whose search box, from `distance` voxels before to `distance`
 /// voxels after the cell on each axis, is entirely deep.
-fn shrunk(neighborhoods: &[[u32; 27]], mut deep: Vec<LeafMask>, mut around: i32) -> Vec<LeafMask> {
-    while around > 0 {
-        let step = around.min(STEP_MAX);
+fn shrunk(neighborhoods: &[[u32; 27]], mut deep: Vec<LeafMask>, mut distance: i32) -> Vec<LeafMask> {
+    while distance > 0 {
+        let step = distance.min(STEP_MAX);
         deep = each(neighborhoods, |leaves| {
             let covers = leaves.map(|leaf| mask_of(&deep, leaf));
             simd::dispatch(Uncovered { covers, around: step }).complement()
         });
-        around -= step;
+        distance -= step;
     }
     deep
 }
@@ -267,7 +269,8 @@ fn shrunk_by_ball(neighborhoods: &[[u32; 27]], deep: Vec<LeafMask>, radius: f32)
         let edge = (2.0 * cube + octahedra) / 2f32.sqrt();
         edge.min((3.0 * cube + octahedra) / 3f32.sqrt()) >= radius
     };
-    // Only the erosion by a cube tests all corners of a cell, so the cube has at least 1 voxel.
+    // The cube has at least 1 voxel: uncovered voxels are corners of cells, and only the erosion by a cube tests all
+    // corners of a cell.
     let cube = (1..=whole as i32).find(|cube| holds_ball(*cube as f32)).unwrap_or(whole as i32);
     let mut deep = shrunk(neighborhoods, deep, cube);
     for _ in cube..whole as i32 {

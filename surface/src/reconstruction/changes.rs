@@ -15,7 +15,8 @@ use glam::{DVec3, Vec3};
 
 use crate::particles::{Ellipsoid, ParticleSource, Positions, Shapes};
 
-/// Mean of the positions of a particle's neighbors, relative to the particle, in units of R / 32767. That is
+/// Mean of the positions of a particle's neighbors, relative to the particle, in units of R / 32767, where R is the
+/// neighbor radius. That is
 /// about a ten-thousandth of the spacing, which is precise enough.
 type StoredMean = [i16; 3];
 
@@ -47,7 +48,7 @@ pub(super) struct BlockChanges {
 
 impl BlockChanges {
     /// `sources` holds the batch, and index in the batch, of each particle. `means` are the mean positions of
-    /// their neighbors, in units of R, and `shapes` their shapes; either is empty if unused. Drops particles
+    /// their neighbors, in units of R, and `shapes` the new shapes of the particles; either is empty if unused. Drops particles
     /// that are neither moved nor stretched, such as those of a lattice behind its outermost layers.
     pub(super) fn new(sources: Vec<[u32; 2]>, means: &[[f32; 3]], shapes: Vec<Ellipsoid>) -> BlockChanges {
         let means: Vec<StoredMean> = means.iter().copied().map(stored).collect();
@@ -65,19 +66,20 @@ pub(super) fn changed_bytes(is_moved: bool, is_stretched: bool) -> [f64; 2] {
     let mean = if is_moved { size_of::<StoredMean>() } else { 0 };
     let shape = if is_stretched { size_of::<Ellipsoid>() } else { 0 };
     // There is one bit for each particle of the frame: one byte per changed particle, if one in eight is
-    // changed.
+    // changed. While changes are sorted, the counts before each word take as much.
     let kept = (1 + mean + shape) as f64;
-    [(size_of::<[u32; 2]>() + mean + shape) as f64 + kept, kept]
+    [(size_of::<[u32; 2]>() + mean + shape + 1) as f64 + kept, kept]
 }
 
 /// The changes that neighbors make to a source's particles.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct NeighborChanges {
-    /// Displacement of a particle if the mean of its neighbors is at distance R, in world units: λR.
+    /// Displacement of a particle if the mean of its neighbors is at distance R, in world units: λR, where λ
+    /// is the position smoothing.
     step_world: f64,
     /// Scale of the particles that are not stretched and have no scale in the input; `None` if all particles
     /// keep their given shapes.
-    ball: Option<f32>,
+    ball_scale: Option<f32>,
     /// For each batch, the start of its words in `changed` and of its particles in `means` and `shapes`; one
     /// entry more than there are batches. Empty if nothing is changed.
     starts: Vec<[usize; 2]>,
@@ -95,7 +97,7 @@ impl NeighborChanges {
     pub(super) fn new(
         found: Vec<BlockChanges>,
         step_world: f64,
-        ball: Option<f32>,
+        ball_scale: Option<f32>,
         batch_count: usize,
         count_of: impl Fn(usize) -> usize,
     ) -> NeighborChanges {
@@ -112,8 +114,9 @@ impl NeighborChanges {
         let before: Vec<usize> = changed
             .iter()
             .map(|word| {
+                let start = count;
                 count += word.count_ones() as usize;
-                count - word.count_ones() as usize
+                start
             })
             .collect();
         let moves = found.iter().any(|found| !found.means.is_empty());
@@ -136,7 +139,7 @@ impl NeighborChanges {
         for start in &mut starts {
             start[1] = before.get(start[0]).copied().unwrap_or(count);
         }
-        NeighborChanges { step_world, ball, starts, changed, means, shapes }
+        NeighborChanges { step_world, ball_scale, starts, changed, means, shapes }
     }
 
     /// True if particles are moved.
@@ -146,11 +149,11 @@ impl NeighborChanges {
 
     /// True if particles are ellipsoids after the change, whatever they were before.
     pub(super) fn stretches(&self) -> bool {
-        self.ball.is_some()
+        self.ball_scale.is_some()
     }
 
     /// Indices in a batch of its changed particles, and the range of their changes.
-    fn of(&self, batch: usize) -> (impl Iterator<Item = usize>, Range<usize>) {
+    fn changed_in(&self, batch: usize) -> (impl Iterator<Item = usize>, Range<usize>) {
         let (words, range) = match self.starts.get(batch..batch + 2) {
             Some(&[[word, first], [word_end, end]]) => (word..word_end, first..end),
             _ => (0..0, 0..0),
@@ -163,7 +166,7 @@ impl NeighborChanges {
 
     /// Indices in a batch of its moved particles, with the displacement of each in world units.
     pub(super) fn moves_of(&self, batch: usize) -> impl Iterator<Item = (usize, DVec3)> {
-        let (indices, range) = self.of(batch);
+        let (indices, range) = self.changed_in(batch);
         // If no particle is moved, `means` is empty, and so is the result.
         let means = self.means.get(range).unwrap_or(&[]);
         indices.zip(means).map(|(index, mean)| (index, mean_of(*mean).as_dvec3() * self.step_world))
@@ -171,14 +174,15 @@ impl NeighborChanges {
 
     /// The shapes of a batch of `count` particles after the changes; `given` are those before.
     pub(super) fn shapes_of(&self, batch: usize, given: Shapes, count: usize) -> Shapes {
-        let Some(ball) = self.ball else { return given };
+        let Some(ball_scale) = self.ball_scale else { return given };
         let mut shapes = match given {
-            Shapes::Uniform => vec![Ellipsoid::ball(ball); count],
+            Shapes::Uniform => vec![Ellipsoid::ball(ball_scale); count],
             Shapes::Scaled(scales) => scales.into_iter().map(Ellipsoid::ball).collect(),
             Shapes::Ellipsoids(ellipsoids) => ellipsoids,
         };
-        let (indices, range) = self.of(batch);
-        for (index, &shape) in indices.zip(&self.shapes[range]) {
+        let (indices, range) = self.changed_in(batch);
+        // If no particle is stretched, `shapes` is empty.
+        for (index, &shape) in indices.zip(self.shapes.get(range).unwrap_or(&[])) {
             shapes[index] = shape;
         }
         Shapes::Ellipsoids(shapes)
@@ -188,8 +192,8 @@ impl NeighborChanges {
     pub(super) fn move_batch(&self, batch: usize, positions: &mut Positions, first: usize) {
         for (index, step) in self.moves_of(batch) {
             match positions {
-                Positions::F32(positions) => moved_single(&mut positions.to_mut()[first + index], step),
-                Positions::F64(positions) => moved_double(&mut positions.to_mut()[first + index], step),
+                Positions::F32(positions) => move_single(&mut positions.to_mut()[first + index], step),
+                Positions::F64(positions) => move_double(&mut positions.to_mut()[first + index], step),
             }
         }
     }
@@ -222,11 +226,11 @@ impl NeighborChanges {
     }
 }
 
-fn moved_single(position: &mut [f32; 3], step: DVec3) {
+fn move_single(position: &mut [f32; 3], step: DVec3) {
     *position = (Vec3::from(*position).as_dvec3() + step).as_vec3().to_array();
 }
 
 /// Moves a particle by a step, in world units.
-pub(super) fn moved_double(position: &mut [f64; 3], step: DVec3) {
+pub(super) fn move_double(position: &mut [f64; 3], step: DVec3) {
     *position = (DVec3::from(*position) + step).to_array();
 }

@@ -430,7 +430,7 @@ mod tests {
     use crate::obstacle::Obstacles;
     use crate::options::{AnisotropyKind, MethodOptions};
     use crate::particles::Ellipsoid;
-    use crate::reconstruction::changes::{moved_double, rounded};
+    use crate::reconstruction::changes::{move_double, rounded};
     use crate::reconstruction::{FrameSurface, reconstruct_shaped};
 
     /// A source with batches of a given size, as from a file.
@@ -580,7 +580,7 @@ mod tests {
             let mut shapes = vec![Ellipsoid::ball(1.0); positions.len()];
             for (particle, &index) in found.indices.iter().enumerate() {
                 let mean = rounded(found.means[particle]).as_dvec3();
-                moved_double(&mut positions[index as usize], mean * step);
+                move_double(&mut positions[index as usize], mean * step);
                 if let Some(&shape) = found.shapes.get(particle) {
                     shapes[index as usize] = shape;
                 }
