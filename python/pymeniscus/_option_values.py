@@ -50,7 +50,7 @@ class OptionValues(TypedDict, total=False):
     position_smoothing : float
         Move particles near the surface toward the mean of their neighbours by this fraction of the distance, 0 to 1 [default: 0.55]
     velocity_gain : float
-        For `anisotropy` velocity: stretch each particle along its velocity by how far it moves in this time, in units of its r_min; positive [default: 0.01]
+        Stretch each particle along its velocity by how far it moves in this time, in units of its r_min; positive, only for `anisotropy` velocity [default: 0.01]
     void_threshold : float
         Fill gaps narrower than this between the surface and obstacles, in voxels, 0 to 4 [default: 1]
     velocity_scale : float

@@ -14,9 +14,9 @@ use anyhow::{Context, Result, bail};
 use meniscus_formats::listed;
 
 use crate::pipeline::{
-    Frame, FrameFile, FrameRecords, Job, NumberedFrames, ObstacleFiles, OnError, OutputFormat, OutputOptions,
-    STATE_FOLDER, Sequence, SequenceRecord, UsdStageFrame, UsdStageSequence, check_existing, check_outputs,
-    output_sequence,
+    Conflict, Frame, FrameFile, FrameRecords, Job, NumberedFrames, ObstacleFiles, OnError, OutputFormat,
+    OutputOptions, STATE_FOLDER, Sequence, SequenceRecord, UsdStageFrame, UsdStageSequence, check_existing,
+    check_outputs, output_sequence,
 };
 use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::simd::level_warning;
@@ -192,8 +192,7 @@ impl ConvertPlan {
         }
         let files = selected_files(&self.selection.sequences);
         let planned: Vec<_> = files.map(|file| (file.path.clone(), file.stem())).collect();
-        check_outputs(&planned, &self.selection.found, &self.obstacles, &self.outputs, &others)?;
-        Ok(check_existing(&planned, &self.outputs, self.job)?)
+        Ok(check_outputs(&planned, &self.selection.found, &self.obstacles, &self.outputs, &others)?)
     }
 
     /// Converts the frames, and combines them into sequence files.
@@ -285,13 +284,19 @@ impl ConvertPlan {
         let record = SequenceRecord::new(&sequence.name, &self.job, &settings, of, files);
         let settings = Arc::new(settings);
         let numbered = NumberedFrames::of_files(&sequence.frames);
-        let frames = selected.iter().map(|file| Frame {
-            job: self.job,
-            around: numbered.frames_around(file.number(), settings.temporal),
-            obstacles: Arc::clone(&self.obstacles),
-            records: self.records.clone(),
-            ..Frame::new(file, &settings, &outputs)
-        });
+        let frame_of = |file: &FrameFile| {
+            check_existing(&file.stem(), &outputs, self.job)?;
+            Ok(Frame {
+                job: self.job,
+                around: numbered.frames_around(file.number(), settings.temporal),
+                obstacles: Arc::clone(&self.obstacles),
+                records: self.records.clone(),
+                ..Frame::new(file, &settings, &outputs)
+            })
+        };
+        let frames = selected
+            .iter()
+            .map(|file| (file, frame_of(file).map_err(|conflict: Conflict| conflict.to_string())));
         batch.add(&sequence.name, record, frames);
         Ok(())
     }

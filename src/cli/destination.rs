@@ -229,7 +229,7 @@ pub(super) fn contradicts_format(out: &Path, extension: &str) -> anyhow::Error {
 pub(super) fn names_file(out: &Path) -> bool {
     let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     let is_word = |extension: &str| {
-        extension.contains(|byte: char| byte.is_ascii_alphabetic())
+        extension.starts_with(|first: char| first.is_ascii_alphabetic())
             && extension.bytes().all(|byte| byte.is_ascii_alphanumeric())
             && !extension.strip_prefix(['v', 'V']).is_some_and(is_number)
     };

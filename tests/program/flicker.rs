@@ -350,7 +350,7 @@ fn inputs_without_a_score_are_refused_with_a_remedy() {
     let folder = scene(&[1.05; 2], ",id");
     refused(&run(&folder, &[]), &["2 frames have both a mesh and particles", "three frames are needed"]);
     let folder = scene(&[1.05; 6], "");
-    refused(&run(&folder, &[]), &["neither velocities nor ids"]);
+    refused(&run(&folder, &[]), &["neither velocities nor unique ids"]);
     [1, 3, 4]
         .iter()
         .for_each(|n| fs::remove_file(folder.path().join(format!("p.{n}.csv"))).expect("removed"));

@@ -303,7 +303,10 @@ fn invalid_picture_arguments_are_refused() {
         ),
         (&["dam.1.ply", "-o", "a.PNG"], &["must be lower case: use a.png"]),
         (&["dam.1.ply", "-o", "a.mp4"], &["a.mp4", ".png or .exr"]),
-        (&["dam.1.ply", "-o", "a.png", "--format", "exr"], &["a.png", "--format asks for other files"]),
+        (
+            &["dam.1.ply", "-o", "a.png", "--format", "exr"],
+            &["a.png", "--format names a format other than .png"],
+        ),
         (&["dam.1.ply", "-o", "-"], &["only `meniscus convert` writes to the standard output"]),
         (&["dam.1.ply", "dam.2.ply", "-o", "a.png"], &["2 frames", "--out"]),
         (&["dam.1.ply", "-o", "a.png", "--size", "1280"], &["--size", "1280x720"]),

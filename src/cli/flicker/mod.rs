@@ -444,7 +444,7 @@ fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerFrames> {
     let numbers: Vec<i64> = files.keys().copied().collect();
     if numbers.len() < 3 {
         bail!(
-            "{name}: {} both a mesh and particles, and three are needed: check that their frame numbers or times agree",
+            "{name}: {} both a mesh and particles, and three frames are needed: check that their numbers or times agree",
             if numbers.len() == 1 {
                 "1 frame has".to_owned()
             } else {

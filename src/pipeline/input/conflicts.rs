@@ -35,8 +35,6 @@ pub enum Conflict {
     ReplacesData {
         /// The output.
         output: PathBuf,
-        /// The number of other outputs with the same fault.
-        other_count: usize,
     },
     /// An output exists and cannot be read, so it may be such a file.
     Unreadable {
@@ -59,19 +57,12 @@ impl fmt::Display for Conflict {
             Conflict::SameOutput { output, makers: [first, second], remedy } => {
                 write!(f, "{first} and {second} would both become {}: {remedy}", output.display())
             }
-            Conflict::ReplacesData { output, other_count } => {
-                let output = output.display();
-                let (others, files) = match other_count {
-                    0 => (String::new(), "that file"),
-                    1 => (", and so would another".to_owned(), "these files"),
-                    _ => (format!(", and so would {other_count} others"), "these files"),
-                };
-                write!(
-                    f,
-                    "the output {output} would replace a file that is not a surface of meniscus, or is only the beginning \
-                     of one{others}: move {files} away, or choose another folder or format"
-                )
-            }
+            Conflict::ReplacesData { output } => write!(
+                f,
+                "the output {} would replace a file that is not a surface of meniscus, or is only the beginning of one: \
+                 move that file away, or choose another folder or format",
+                output.display()
+            ),
             Conflict::Unreadable { output, source } => write!(
                 f,
                 "cannot check whether the output {} would replace particles: {source}: make it readable, or move it away",

@@ -1,7 +1,7 @@
 //! Recognises frames, outputs of this program and other files by their first bytes.
 
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use meniscus_formats::compression::read_head;
 use meniscus_formats::{Content, Format, Neighbor, looks_like_particles, neighbor, probe, read_provenance};
@@ -62,35 +62,24 @@ pub fn content(path: &Path) -> io::Result<SniffedContent> {
     Ok(if is_frame { SniffedContent::Particles } else { SniffedContent::NotParticles })
 }
 
-/// Checks that no output of `job` for the planned frames (input and stem) replaces particles, or a mesh or a
-/// level set of another program: they may be the only copy.
+/// Checks that no output of `job` for the frame with this stem replaces particles, or a mesh or a level set of
+/// another program: they may be the only copy.
 ///
 /// # Errors
-/// The first such output, and the number of others; or the first that exists but cannot be read.
-pub fn check_existing(
-    planned: &[(PathBuf, String)],
-    options: &OutputOptions,
-    job: Job,
-) -> Result<(), Conflict> {
-    let mut replaced = Vec::new();
-    for (_, stem) in planned {
-        for &format in &options.formats {
-            if format.particles().is_none() && !matches!(format.content(), Content::LevelSet) {
-                continue;
-            }
-            let output = output_path(&options.folder, stem, format);
-            match is_irreplaceable(&output, job) {
-                Ok(false) => {}
-                Ok(true) => replaced.push(output),
-                Err(source) => return Err(Conflict::Unreadable { output, source }),
-            }
+/// The first such output, or the first that exists but cannot be read.
+pub fn check_existing(stem: &str, options: &OutputOptions, job: Job) -> Result<(), Conflict> {
+    for &format in &options.formats {
+        if format.particles().is_none() && !matches!(format.content(), Content::LevelSet) {
+            continue;
+        }
+        let output = output_path(&options.folder, stem, format);
+        match is_irreplaceable(&output, job) {
+            Ok(false) => {}
+            Ok(true) => return Err(Conflict::ReplacesData { output }),
+            Err(source) => return Err(Conflict::Unreadable { output, source }),
         }
     }
-    let other_count = replaced.len().saturating_sub(1);
-    match replaced.into_iter().next() {
-        Some(output) => Err(Conflict::ReplacesData { output, other_count }),
-        None => Ok(()),
-    }
+    Ok(())
 }
 
 /// Whether a file must not be replaced by an output of `job`: its format is one for particles or level sets,

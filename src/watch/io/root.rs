@@ -500,7 +500,7 @@ fn replaces_data(output: &Path) -> bool {
 
 /// Why such an output is not written.
 fn replacement(output: &Path) -> String {
-    Conflict::ReplacesData { output: output.to_owned(), other_count: 0 }.to_string()
+    Conflict::ReplacesData { output: output.to_owned() }.to_string()
 }
 
 fn has_recorded_obstacles(check: &RecordCheck, obstacles: Option<&ObstacleStamps>) -> bool {

@@ -151,8 +151,8 @@ method_options! {
             #[value(named("FRACTION"))]
             position_smoothing: f64 in 0.0..=1.0,
 
-            /// For --anisotropy velocity: stretch each particle along its velocity by how far it moves in this
-            /// time, in units of its r_min; positive [default: 0.01]
+            /// Stretch each particle along its velocity by how far it moves in this time, in units of its r_min;
+            /// positive, only for --anisotropy velocity [default: 0.01]
             #[value(named("SECONDS"))]
             velocity_gain: f64
                 => [OptionName::with_value("anisotropy", "velocity")],
