@@ -193,7 +193,8 @@ pub(crate) fn slice(values: &Values, range: std::ops::Range<usize>) -> Values {
     map_any_type!(values, values => values[range].to_vec())
 }
 
-/// Interleaves columns of one type into a vector attribute. `None` for strings, mixed types or no columns.
+/// Interleaves columns of one type into a vector attribute. `None` for strings, mixed types,
+/// different lengths or no columns.
 pub(crate) fn interleaved(columns: &[&Values]) -> Option<Values> {
     fn gather<T: Copy>(columns: &[&Values], of: impl Fn(&Values) -> Option<&[T]>) -> Option<Vec<T>> {
         let columns: Vec<&[T]> = columns.iter().map(|column| of(column)).collect::<Option<_>>()?;
@@ -315,6 +316,7 @@ mod tests {
         assert_eq!(both, Values::I32(vec![1, 2, 3, 4]));
         assert_eq!(components(&both, 2, 1..2), y);
         assert_eq!(interleaved(&[&x, &Values::F32(vec![0.0; 2])]), None);
+        assert_eq!(interleaved(&[&x, &Values::F64(vec![0.0; 3])]), None);
         assert_eq!(interleaved(&[]), None);
         let mut longer = x;
         assert!(append(&mut longer, y) && !append(&mut longer, Values::U8(vec![1])));

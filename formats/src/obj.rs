@@ -357,7 +357,7 @@ impl<'a> MeshLines<'a> {
             self.rest = rest;
             let line = line.trim_ascii();
             // A comment is not continued: it may end with the path of a folder.
-            let is_comment = text.is_empty() && line.starts_with(b"#");
+            let is_comment = line.split(u8::is_ascii_whitespace).any(|word| word.starts_with(b"#"));
             match line.strip_suffix(b"\\") {
                 Some(start) if !rest.is_empty() && !is_comment => {
                     text.extend_from_slice(start);

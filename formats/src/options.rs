@@ -40,8 +40,8 @@ pub struct MeshOptions {
     /// For each triangle, whether it and the next one form a quad, which is then written as one face. Empty:
     /// all faces are triangles.
     pub quads: Arc<[bool]>,
-    /// Whether text USD contains the arrays that vary twice: as defaults, and as time samples, because a stage
-    /// plays only those. Binary USD always has both, which share one array.
+    /// Whether text USD stores each array that varies twice: as the default, and as a time sample, because a stage
+    /// plays only time samples. Binary USD always has both, which share one array.
     pub time_samples: bool,
 }
 

@@ -50,7 +50,7 @@ fn obj_files_of_all_dialects_are_read() {
         ("a comment that ends with a folder", format!("# from C:\\models\\\n{vertices}f 1 2 3 4\n")),
         (
             "comments behind values",
-            format!("{}f 1 2 3 4 # a quad\n", vertices.replacen("0 0 0", "0 0 0 # first", 1)),
+            format!("{}f 1 2 3 # of C:\\models\\\nf 1 3 4\n", vertices.replacen("0 0 0", "0 0 0 # first", 1)),
         ),
         ("vertices later", format!("f 1 2 3 4\n{vertices}")),
     ] {

@@ -89,16 +89,10 @@ impl<'a> Batch<'a> {
         })
     }
 
-    /// Adds the selected frames of a sequence, or for each the reason why it cannot be converted.
-    pub(super) fn add<'f>(
-        &mut self,
-        name: &str,
-        record: SequenceRecord,
-        frames: impl Iterator<Item = (&'f FrameFile, std::result::Result<Frame, String>)>,
-    ) {
+    /// Adds the selected frames of a sequence.
+    pub(super) fn add(&mut self, name: &str, record: SequenceRecord, frames: impl Iterator<Item = Frame>) {
         let sequence_index = self.add_sequence(name, record);
-        let item =
-            |(file, frame): (&FrameFile, _)| BatchItem { input: file.path.clone(), sequence_index, frame };
+        let item = |frame: Frame| BatchItem { input: frame.input.clone(), sequence_index, frame: Ok(frame) };
         self.items.extend(frames.map(item));
     }
 
@@ -167,8 +161,8 @@ impl<'a> Batch<'a> {
             let is_stopped = self.on_error == OnError::Stop && !self.outcomes.failures.is_empty();
             match frame {
                 Err(why) if !is_stopped => {
-                    // All frames of a sequence may have the same reason.
-                    if printed.replace((*sequence_index, why)) != Some((*sequence_index, why)) {
+                    // The reason is the same for all frames of a sequence.
+                    if printed.replace(*sequence_index) != Some(*sequence_index) {
                         let name = &self.sequence_names[*sequence_index];
                         // An error of reading a file already contains the path.
                         let of = if why.contains(&**name) { String::new() } else { format!("{name}: ") };

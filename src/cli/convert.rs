@@ -14,9 +14,8 @@ use anyhow::{Context, Result, bail};
 use meniscus_formats::listed;
 
 use crate::pipeline::{
-    Conflict, Frame, FrameFile, FrameRecords, Job, NumberedFrames, ObstacleFiles, OnError, OutputFormat,
-    OutputOptions, STATE_FOLDER, Sequence, SequenceRecord, UsdStageFrame, UsdStageSequence, check_existing,
-    check_outputs, output_sequence,
+    Frame, FrameFile, FrameRecords, Job, NumberedFrames, ObstacleFiles, OnError, OutputFormat, OutputOptions,
+    STATE_FOLDER, Sequence, SequenceRecord, UsdStageFrame, UsdStageSequence, check_outputs, output_sequence,
 };
 use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::simd::level_warning;
@@ -177,7 +176,7 @@ struct ConvertPlan {
 }
 
 impl ConvertPlan {
-    /// Refuses outputs that would replace inputs, obstacles, data of other programs or each other. Inputs that
+    /// Refuses outputs that would replace inputs, obstacles or each other. Inputs that
     /// are not selected are protected, too.
     ///
     /// # Errors
@@ -284,19 +283,13 @@ impl ConvertPlan {
         let record = SequenceRecord::new(&sequence.name, &self.job, &settings, of, files);
         let settings = Arc::new(settings);
         let numbered = NumberedFrames::of_files(&sequence.frames);
-        let frame_of = |file: &FrameFile| {
-            check_existing(&file.stem(), &outputs, self.job)?;
-            Ok(Frame {
-                job: self.job,
-                around: numbered.frames_around(file.number(), settings.temporal),
-                obstacles: Arc::clone(&self.obstacles),
-                records: self.records.clone(),
-                ..Frame::new(file, &settings, &outputs)
-            })
-        };
-        let frames = selected
-            .iter()
-            .map(|file| (file, frame_of(file).map_err(|conflict: Conflict| conflict.to_string())));
+        let frames = selected.iter().map(|file| Frame {
+            job: self.job,
+            around: numbered.frames_around(file.number(), settings.temporal),
+            obstacles: Arc::clone(&self.obstacles),
+            records: self.records.clone(),
+            ..Frame::new(file, &settings, &outputs)
+        });
         batch.add(&sequence.name, record, frames);
         Ok(())
     }

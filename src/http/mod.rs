@@ -145,7 +145,7 @@ impl HttpServer {
         let thread = thread::Builder::new().name("http".to_owned()).stack_size(STACK_BYTES);
         let thread = thread.spawn(move || {
             if let Err(error) = runtime.block_on(serve(limits, listener, routes(state), is_closing)) {
-                tracing::error!("the status page and the API have stopped: {error}; the daemon continues: restart it to have them back");
+                tracing::error!("the status page and the API have stopped: {error}; the daemon continues: restart it to get them back");
             }
             // Does not wait for threads that still read a file.
             runtime.shutdown_background();

@@ -1,4 +1,4 @@
-//! Why a frame was not converted.
+//! Why a frame was not converted, or a run cannot begin.
 
 use std::any::Any;
 use std::fmt;
@@ -62,6 +62,8 @@ pub enum Cause {
     File(meniscus_formats::Error),
     /// The input was written, replaced or removed while it was read.
     Changed,
+    /// An output would replace a file that may be the only copy of its data.
+    Conflict(Box<Conflict>),
     /// An obstacle cannot be read.
     Obstacle(Box<ObstacleError>),
     /// The particles lack an attribute that the settings require, or its values are unusable.
@@ -96,6 +98,70 @@ impl fmt::Display for ObstacleError {
         }
     }
 }
+
+/// Why a run cannot begin, or a frame cannot be converted.
+#[derive(Debug)]
+pub enum Conflict {
+    /// An output would replace an input or an obstacle, or would later be read as one.
+    Replaces {
+        /// The output.
+        output: PathBuf,
+        /// What it would do: `would replace the input`.
+        fault: &'static str,
+        /// The path or the pattern of the other file, as given.
+        file: PathBuf,
+    },
+    /// Two files that the run writes have the same path.
+    SameOutput {
+        /// Their path.
+        output: PathBuf,
+        /// What they are made from, or what they are.
+        makers: [String; 2],
+        /// What to do.
+        remedy: String,
+    },
+    /// An output would replace particles, or a mesh or a level set of another program.
+    ReplacesData {
+        /// The output.
+        output: PathBuf,
+    },
+    /// An output exists and cannot be read, so it may be such a file.
+    Unreadable {
+        /// The output.
+        output: PathBuf,
+        /// The reason.
+        source: io::Error,
+    },
+}
+
+impl fmt::Display for Conflict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Conflict::Replaces { output, fault, file } => write!(
+                f,
+                "the output {} {fault} {}: choose another folder or format",
+                output.display(),
+                file.display()
+            ),
+            Conflict::SameOutput { output, makers: [first, second], remedy } => {
+                write!(f, "{first} and {second} would both become {}: {remedy}", output.display())
+            }
+            Conflict::ReplacesData { output } => write!(
+                f,
+                "the output {} would replace a file that is not a surface of meniscus, or is only the beginning of one: \
+                 move that file away, or choose another folder or format",
+                output.display()
+            ),
+            Conflict::Unreadable { output, source } => write!(
+                f,
+                "cannot check whether the output {} would replace particles: {source}: make it readable, or move it away",
+                output.display()
+            ),
+        }
+    }
+}
+
+impl std::error::Error for Conflict {}
 
 impl FrameError {
     /// An error caused by a file.
@@ -142,6 +208,7 @@ impl fmt::Display for FrameError {
             Cause::File(source) if *during == Stage::Read => source.fmt(f),
             Cause::File(source) => write!(f, "cannot {during}: {source}"),
             Cause::Changed => f.write_str("changed while it was read"),
+            Cause::Conflict(conflict) => conflict.fmt(f),
             Cause::Obstacle(error) => error.fmt(f),
             Cause::Missing(what) => f.write_str(what),
             Cause::Settings(error) => error.fmt(f),
@@ -162,6 +229,7 @@ impl std::error::Error for FrameError {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match &self.cause {
             Cause::File(source) => Some(source),
+            Cause::Conflict(source) => Some(&**source),
             Cause::Obstacle(error) => error.source.as_ref().map(|source| source as _),
             Cause::Settings(source) => Some(source),
             Cause::TooLarge(source) => Some(source),

@@ -66,7 +66,7 @@ mod stages;
 mod target;
 mod warning;
 
-pub use error::{Cause, FrameError, ObstacleError, Stage};
+pub use error::{Cause, Conflict, FrameError, ObstacleError, Stage};
 pub use files::atomic_write::{replace_own, stop_writing, write_atomically};
 pub use files::frame_number::{is_number, natural_order};
 pub use files::host::host_name;
@@ -90,7 +90,7 @@ pub use in_memory::{
 pub use input::around::{AroundFrame, NumberedFrames, RecordedAround, not_followed};
 pub use input::attributes::AttributeRequest;
 pub use input::bounds::{EMPTY_BOUNDS, bounds_of_particles, sequence_bounds};
-pub use input::conflicts::{Conflict, check_outputs};
+pub use input::conflicts::check_outputs;
 pub use input::filter::keep_chosen;
 pub use input::frame::{Frame, FrameReport, InputState, Job, Outcome, Seconds};
 pub use input::level_set_file::{LevelSetFile, is_level_set};
@@ -116,7 +116,7 @@ pub use method::ScratchFile;
 pub use observer::Observer;
 pub use output::writing::{encode_level_set, mesh_view, vertex_attributes};
 pub use reconstruct::{LoadedFrame, Reconstruction};
-pub use records::content::{SniffedContent, check_existing, content};
+pub use records::content::{SniffedContent, content};
 pub use records::figures::Figures;
 pub use records::frame_records::{
     FrameRecords, LatestRecords, OutputComparison, RecordedFrame, ResultState, STATE_FOLDER, SettingValues,

@@ -95,9 +95,19 @@ fn particles_and_level_sets_of_others_are_not_replaced() {
     let shard = [&convert[..], &["--shard", "1/1"]].concat();
     for arguments in [&convert[..], &shard, &[&convert[..6], &["--particles-only"]].concat()] {
         fails_in_one_frame(path, arguments, &words);
+        let status = meniscus(path, &["status", "dam.2.ply", "--out", "out"]).out;
+        assert!(status.contains("failed") && status.contains(words[0]), "{status}");
         assert_eq!(fs::read(&output).expect("readable"), particles);
         fs::remove_file(path.join("out/dam.1.ply")).expect("the other frame is converted");
     }
+
+    // The frame after it is not started.
+    write_sequence(path, 1, 3);
+    let stop = [&convert[..], &["--on-error", "stop", "--report", "r.json"]].concat();
+    fails_in_one_frame(path, &stop, &words);
+    assert!(path.join("out/dam.1.ply").exists() && !path.join("out/dam.3.ply").exists());
+    assert!(fs::read_to_string(path.join("r.json")).expect("a report").contains(words[0]));
+    fs::remove_file(path.join("dam.3.ply")).expect("removed");
 
     fs::write(&output, "").expect("written");
     let only_particles = [&convert[..6], &["--particles-only"]].concat();

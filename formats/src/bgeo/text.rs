@@ -260,6 +260,8 @@ mod tests {
 
     #[test]
     fn invalid_text_is_an_error_with_its_line() {
+        let strings = " x".repeat(40_000);
+        let two_tables = format!("a 1 index 40000{strings}\nb 1 index 40000{strings}\n");
         let table = [
             (TEXT.replace("V5", "V4"), "only PGEOMETRY V5"),
             (TEXT.replace("NPoints 2", "NPoints 4000000000"), "expected 4000000000 points"),
@@ -274,6 +276,10 @@ mod tests {
             (TEXT.replace("life 2", "life 0"), "has 0 values"),
             (TEXT.replace("NPoints 2", "NPoints two"), "expected the number after NPoints, found `two`"),
             (TEXT.replace("(-1.2", "(low"), "expected a value of the attribute `life`, found `low`"),
+            (
+                TEXT.replace("life 2 float 0 0\nid 1 int 0\n", &two_tables),
+                "with the attribute `b`, the file has 80000 strings",
+            ),
             (
                 TEXT.replace("index 2 \"a b\" c", "index 4294967295 a"),
                 "with the attribute `part`, the file has 4294967295 strings",

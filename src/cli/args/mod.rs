@@ -131,8 +131,8 @@ option_set! {
         #[arg(long)]
         pub(super) particles_only: bool,
 
-        /// Convert only part K of N of the frames, and skip finished ones: such as 1/60; slurm takes K
-        /// and N from the job array
+        /// Convert only part K of N of the frames, such as 1/60, and skip finished ones; slurm takes K and N
+        /// from the job array
         ///
         /// The parts are consecutive frames. Each part measures the settings on the same frames, so together
         /// the parts write the files of a single run. The folder of the results must exist.

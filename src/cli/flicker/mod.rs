@@ -571,15 +571,17 @@ impl NumbersOfTimes {
     /// Frames by their numbers or times.
     fn listed(&self, numbers: &[i64]) -> String {
         let distinct: BTreeSet<i64> = numbers.iter().copied().collect();
+        // A frame number has no time, even among times.
+        let has_times = numbers.iter().all(|number| self.times.contains_key(number));
         let name = |number: &i64| match self.times.get(number) {
-            Some(time) => time.to_string(),
-            None => number.to_string(),
+            Some(time) if has_times => time.to_string(),
+            _ => number.to_string(),
         };
         let mut names: Vec<String> = distinct.iter().take(NUMBERS_NAMED).map(name).collect();
         if distinct.len() > NUMBERS_NAMED {
             names.push(format!("and {} more", distinct.len() - NUMBERS_NAMED));
         }
-        let kind = if self.times.is_empty() { "frame" } else { "time" };
+        let kind = if has_times { "time" } else { "frame" };
         format!("{kind}{} {}", if distinct.len() == 1 { "" } else { "s" }, names.join(", "))
     }
 

@@ -1,78 +1,13 @@
 //! Finds outputs that would replace an input, an obstacle or each other.
 
 use std::collections::HashMap;
-use std::fmt;
-use std::io;
 use std::path::{Path, PathBuf};
 
 use super::obstacles::ObstacleFiles;
 use super::steps::file_of;
+use crate::pipeline::error::Conflict;
 use crate::pipeline::files::identity::{FileId, canonical_path};
 use crate::pipeline::target::outputs::{OutputOptions, output_path};
-
-/// Why a run cannot begin.
-#[derive(Debug)]
-pub enum Conflict {
-    /// An output would replace an input or an obstacle, or would later be read as one.
-    Replaces {
-        /// The output.
-        output: PathBuf,
-        /// What it would do: `would replace the input`.
-        fault: &'static str,
-        /// The path or the pattern of the other file, as given.
-        file: PathBuf,
-    },
-    /// Two files that the run writes have the same path.
-    SameOutput {
-        /// Their path.
-        output: PathBuf,
-        /// What they are made from, or what they are.
-        makers: [String; 2],
-        /// What to do.
-        remedy: String,
-    },
-    /// An output would replace particles, or a mesh or a level set of another program.
-    ReplacesData {
-        /// The output.
-        output: PathBuf,
-    },
-    /// An output exists and cannot be read, so it may be such a file.
-    Unreadable {
-        /// The output.
-        output: PathBuf,
-        /// The reason.
-        source: io::Error,
-    },
-}
-
-impl fmt::Display for Conflict {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Conflict::Replaces { output, fault, file } => write!(
-                f,
-                "the output {} {fault} {}: choose another folder or format",
-                output.display(),
-                file.display()
-            ),
-            Conflict::SameOutput { output, makers: [first, second], remedy } => {
-                write!(f, "{first} and {second} would both become {}: {remedy}", output.display())
-            }
-            Conflict::ReplacesData { output } => write!(
-                f,
-                "the output {} would replace a file that is not a surface of meniscus, or is only the beginning of one: \
-                 move that file away, or choose another folder or format",
-                output.display()
-            ),
-            Conflict::Unreadable { output, source } => write!(
-                f,
-                "cannot check whether the output {} would replace particles: {source}: make it readable, or move it away",
-                output.display()
-            ),
-        }
-    }
-}
-
-impl std::error::Error for Conflict {}
 
 /// Checks that the outputs of all planned frames (input and stem), and all other `written` files (description
 /// and path), do not replace one of `inputs`, an obstacle, or each other. The output folder must exist,

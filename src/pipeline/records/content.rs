@@ -7,9 +7,9 @@ use meniscus_formats::compression::read_head;
 use meniscus_formats::{Content, Format, Neighbor, looks_like_particles, neighbor, probe, read_provenance};
 
 use super::provenance::{HEAD_BYTES, are_particles};
+use crate::pipeline::error::Conflict;
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::open::open_regular;
-use crate::pipeline::input::conflicts::Conflict;
 use crate::pipeline::input::frame::Job;
 use crate::pipeline::input::level_set_file::is_level_set;
 use crate::pipeline::input::source::promises_particles;
@@ -67,7 +67,7 @@ pub fn content(path: &Path) -> io::Result<SniffedContent> {
 ///
 /// # Errors
 /// The first such output, or the first that exists but cannot be read.
-pub fn check_existing(stem: &str, options: &OutputOptions, job: Job) -> Result<(), Conflict> {
+pub(crate) fn check_existing(stem: &str, options: &OutputOptions, job: Job) -> Result<(), Conflict> {
     for &format in &options.formats {
         if format.particles().is_none() && !matches!(format.content(), Content::LevelSet) {
             continue;

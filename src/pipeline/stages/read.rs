@@ -25,6 +25,7 @@ use crate::pipeline::input::position_doubts::position_doubts;
 use crate::pipeline::input::reading::{parse_particles, read_frame_unchanged};
 use crate::pipeline::input::steps::{reading_bytes, step_of};
 use crate::pipeline::method;
+use crate::pipeline::records::content::check_existing;
 use crate::pipeline::records::provenance::MadeFrom;
 use crate::pipeline::warning::Warning;
 use crate::surface::options::Settings;
@@ -79,10 +80,15 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let mut memory = shared.budget.reserve_input(bytes);
         shared.begin(frame, Stage::Read);
         let start = Instant::now();
-        let read = FrameError::catch(&frame.input.clone(), Stage::Read, || match frame.job {
-            Job::Surface => self.read_particle_frame(order, frame),
-            Job::LevelSet { .. } => self.level_set_of(order, frame),
-            Job::Particles => self.bytes_of(frame),
+        let read = FrameError::catch(&frame.input.clone(), Stage::Read, || {
+            let refused =
+                |conflict| Outcome::Failed(frame.failed(Stage::Read, Cause::Conflict(Box::new(conflict))));
+            check_existing(&frame.stem, &frame.outputs, frame.job).map_err(refused)?;
+            match frame.job {
+                Job::Surface => self.read_particle_frame(order, frame),
+                Job::LevelSet { .. } => self.level_set_of(order, frame),
+                Job::Particles => self.bytes_of(frame),
+            }
         });
         let ReadResult { content, input, noted, around } = read.map_err(Outcome::Failed).flatten()?;
         let user = frame.is_averaged().then(|| shared.smoothed.user());

@@ -18,7 +18,7 @@ pub(crate) enum RetryAction {
     /// The error may be temporary: retry.
     Retry,
     /// Only a changed file or a restart can help: a restart may have a higher memory limit, and reads the
-    /// obstacles again.
+    /// obstacles and the outputs again.
     AwaitRestart,
     /// Only a changed file can help.
     AwaitChange,
@@ -35,7 +35,7 @@ pub(crate) fn recovery(error: &FrameError) -> RetryAction {
         Cause::Scratch(error) if concerns_all(error.kind()) => RetryAction::AwaitOutputs,
         Cause::Scratch(_) | Cause::Changed => RetryAction::Retry,
         Cause::Obstacle(error) => recovery_of_obstacle(error),
-        Cause::TooLarge(_) => RetryAction::AwaitRestart,
+        Cause::TooLarge(_) | Cause::Conflict(_) => RetryAction::AwaitRestart,
         Cause::VoxelTooSmall(_) | Cause::Missing(_) | Cause::Settings(_) | Cause::Panic(_) => {
             RetryAction::AwaitChange
         }

@@ -133,7 +133,7 @@ pub struct TemporalReport {
     /// The number of voxels near the surface.
     #[serde(rename = "voxels")]
     pub voxel_count: usize,
-    /// The mean share of the weights of the other frames that was confident, from 0 to 1.
+    /// The mean confidence in the other frames, from 0 to 1.
     pub confidence: f64,
     /// Root mean square of the change of φ, in voxels.
     #[serde(rename = "change_voxels")]
