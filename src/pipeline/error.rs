@@ -125,13 +125,6 @@ pub enum Conflict {
         /// The output.
         output: PathBuf,
     },
-    /// An output exists and cannot be read, so it may be such a file.
-    Unreadable {
-        /// The output.
-        output: PathBuf,
-        /// The reason.
-        source: io::Error,
-    },
 }
 
 impl fmt::Display for Conflict {
@@ -150,11 +143,6 @@ impl fmt::Display for Conflict {
                 f,
                 "the output {} would replace a file that is not a surface of meniscus, or is only the beginning of one: \
                  move that file away, or choose another folder or format",
-                output.display()
-            ),
-            Conflict::Unreadable { output, source } => write!(
-                f,
-                "cannot check whether the output {} would replace particles: {source}: make it readable, or move it away",
                 output.display()
             ),
         }

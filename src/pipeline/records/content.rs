@@ -1,13 +1,12 @@
 //! Recognises frames, outputs of this program and other files by their first bytes.
 
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use meniscus_formats::compression::read_head;
 use meniscus_formats::{Content, Format, Neighbor, looks_like_particles, neighbor, probe, read_provenance};
 
 use super::provenance::{HEAD_BYTES, are_particles};
-use crate::pipeline::error::Conflict;
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::input::frame::Job;
@@ -62,12 +61,16 @@ pub fn content(path: &Path) -> io::Result<SniffedContent> {
     Ok(if is_frame { SniffedContent::Particles } else { SniffedContent::NotParticles })
 }
 
-/// Checks that no output of `job` for the frame with this stem replaces particles, or a mesh or a level set of
+/// The first output of `job` for the frame with this stem that would replace particles, or a mesh or a level set of
 /// another program: they may be the only copy.
 ///
 /// # Errors
-/// The first such output, or the first that exists but cannot be read.
-pub(crate) fn check_existing(stem: &str, options: &OutputOptions, job: Job) -> Result<(), Conflict> {
+/// The first output that exists but cannot be read, and why.
+pub(crate) fn irreplaceable_output(
+    stem: &str,
+    options: &OutputOptions,
+    job: Job,
+) -> Result<Option<PathBuf>, (PathBuf, io::Error)> {
     for &format in &options.formats {
         if format.particles().is_none() && !matches!(format.content(), Content::LevelSet) {
             continue;
@@ -75,11 +78,11 @@ pub(crate) fn check_existing(stem: &str, options: &OutputOptions, job: Job) -> R
         let output = output_path(&options.folder, stem, format);
         match is_irreplaceable(&output, job) {
             Ok(false) => {}
-            Ok(true) => return Err(Conflict::ReplacesData { output }),
-            Err(source) => return Err(Conflict::Unreadable { output, source }),
+            Ok(true) => return Ok(Some(output)),
+            Err(error) => return Err((output, error)),
         }
     }
-    Ok(())
+    Ok(None)
 }
 
 /// Whether a file must not be replaced by an output of `job`: its format is one for particles or level sets,
@@ -92,7 +95,9 @@ fn is_irreplaceable(path: &Path, job: Job) -> io::Result<bool> {
     let (head, name) = match path.metadata() {
         Ok(metadata) if metadata.is_file() => head_and_name(path)?,
         Ok(_) => return Ok(false),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+        Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
+            return Ok(false);
+        }
         Err(error) => return Err(error),
     };
     Ok(match own_content(&head, &name) {

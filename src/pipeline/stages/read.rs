@@ -12,7 +12,7 @@ use crossbeam::channel::Sender;
 use twox_hash::XxHash3_128;
 
 use crate::pipeline::budget::Reservation;
-use crate::pipeline::error::{Cause, FrameError, Stage};
+use crate::pipeline::error::{Cause, Conflict, FrameError, Stage};
 use crate::pipeline::files::input_file::{InputFile, read_unchanged};
 use crate::pipeline::input::around::{self, FoundFrame, find_around};
 use crate::pipeline::input::attributes::AttributeRequest;
@@ -25,7 +25,7 @@ use crate::pipeline::input::position_doubts::position_doubts;
 use crate::pipeline::input::reading::{parse_particles, read_frame_unchanged};
 use crate::pipeline::input::steps::{reading_bytes, step_of};
 use crate::pipeline::method;
-use crate::pipeline::records::content::check_existing;
+use crate::pipeline::records::content::irreplaceable_output;
 use crate::pipeline::records::provenance::MadeFrom;
 use crate::pipeline::warning::Warning;
 use crate::surface::options::Settings;
@@ -81,9 +81,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         shared.begin(frame, Stage::Read);
         let start = Instant::now();
         let read = FrameError::catch(&frame.input.clone(), Stage::Read, || {
-            let refused =
-                |conflict| Outcome::Failed(frame.failed(Stage::Read, Cause::Conflict(Box::new(conflict))));
-            check_existing(&frame.stem, &frame.outputs, frame.job).map_err(refused)?;
+            refuse_to_replace(frame).map_err(Outcome::Failed)?;
             match frame.job {
                 Job::Surface => self.read_particle_frame(order, frame),
                 Job::LevelSet { .. } => self.level_set_of(order, frame),
@@ -273,6 +271,19 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             Some((state, Some(record))) if state.is_done() => Err(Outcome::AlreadyDone { input, record }),
             _ => Ok(()),
         }
+    }
+}
+
+/// Refuses a frame that would replace data of another program.
+fn refuse_to_replace(frame: &Frame) -> Result<(), FrameError> {
+    match irreplaceable_output(&frame.stem, &frame.outputs, frame.job) {
+        Ok(None) => Ok(()),
+        Ok(Some(output)) => {
+            let conflict = Box::new(Conflict::ReplacesData { output });
+            Err(frame.failed(Stage::Read, Cause::Conflict(conflict)))
+        }
+        // It cannot be replaced either.
+        Err((output, error)) => Err(FrameError::file(&output, Stage::Write, error)),
     }
 }
 
