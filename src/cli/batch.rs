@@ -107,9 +107,10 @@ impl<'a> Batch<'a> {
         self.items.extend(selected.iter().map(item));
     }
 
-    /// Whether there are frames, and none has others around it.
+    /// Whether there are frames with numbers, and none has others around it.
     pub(super) fn lacks_frames_around(&self) -> bool {
-        let mut frames = self.items.iter().filter_map(|item| item.frame.as_ref().ok()).peekable();
+        let frames = self.items.iter().filter_map(|item| item.frame.as_ref().ok());
+        let mut frames = frames.filter(|frame| frame.number.is_some()).peekable();
         frames.peek().is_some() && frames.all(|frame| frame.around.is_empty())
     }
 

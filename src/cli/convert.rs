@@ -6,7 +6,7 @@
 //! ```
 
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -283,6 +283,7 @@ impl ConvertPlan {
         let record = SequenceRecord::new(&sequence.name, &self.job, &settings, of, files);
         let settings = Arc::new(settings);
         let numbered = NumberedFrames::of_files(&sequence.frames);
+        note_gaps(&sequence.name, &numbered, selected, settings.temporal, console);
         let frames = selected.iter().map(|file| Frame {
             job: self.job,
             around: numbered.frames_around(file.number(), settings.temporal),
@@ -292,6 +293,25 @@ impl ConvertPlan {
         });
         batch.add(&sequence.name, record, frames);
         Ok(())
+    }
+}
+
+/// Says how many selected frames are averaged with fewer frames because of gaps in the numbers.
+fn note_gaps(
+    name: &str,
+    numbered: &NumberedFrames<PathBuf>,
+    selected: &[FrameFile],
+    reach: u32,
+    console: &mut Console,
+) {
+    let numbers = selected.iter().filter_map(FrameFile::number);
+    let count = numbers.filter(|number| numbered.is_beside_gap(*number, reach)).count();
+    if let Some(step) = numbered.step().filter(|_| reach > 0 && count > 0) {
+        console.print_line(format_args!(
+            "note: {name}: --temporal averages {} with fewer others, because a number is missing or occurs twice: \
+             most frames are {step} apart, and so must be those that are averaged",
+            pluralize(count, "frame")
+        ));
     }
 }
 

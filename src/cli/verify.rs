@@ -232,7 +232,7 @@ fn verify_frame(
     let is_other = |around: &&RecordedAround| {
         let hash =
             hashes.get(&file_of(&input).with_file_name(&around.name)).and_then(|hash| hash.as_ref().ok());
-        around.hash != 0 && hash.is_some_and(|hash| *hash != around.hash)
+        around.hash.zip(hash).is_some_and(|(recorded, hash)| recorded != *hash)
     };
     let changed = record.as_ref().and_then(|record| record.around.iter().find(is_other));
     let state = match (input_hash, changed) {

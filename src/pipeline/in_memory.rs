@@ -1,7 +1,8 @@
 //! Files and reports for surfaces that another program reconstructs in memory, such as the Python package.
 //!
 //! The files have the same bytes as those of `meniscus convert` if the options, the particles and the source
-//! file of the particles are the same.
+//! file of the particles are the same. Only those of `meniscus convert` name the frames around a surface that is
+//! averaged with them.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};

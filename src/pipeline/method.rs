@@ -23,7 +23,9 @@ use crate::pipeline::target::outputs::OutputOptions;
 /// What the three stages of the method pass on: their state of a frame of the pipeline.
 pub(crate) type FrameInStages = StagedFrame<ShapedSource<FrameInput>>;
 
-/// Plans the reconstruction of a frame, and the pictures among its outputs, within a memory limit.
+/// Plans the reconstruction of a frame, and the pictures among its outputs, within a memory limit. The plan includes
+/// the memory of `held_count` such frames, which have one picture and the static obstacles in common; if there are
+/// several, the frame has no tiles, because it is averaged with the others.
 ///
 /// # Errors
 /// When the frame needs more memory, its voxels are too small, or an obstacle is too far away; the errors of
@@ -33,7 +35,7 @@ pub(crate) fn plan(
     obstacles: &FrameObstacles,
     settings: &Settings,
     outputs: &OutputOptions,
-    allowed_bytes: u64,
+    (allowed_bytes, held_count): (u64, u64),
 ) -> Result<MemoryPlan, Cause> {
     let picture_bytes = outputs.picture_bytes();
     if let FrameInput::LevelSet(given) = particles {
@@ -47,28 +49,29 @@ pub(crate) fn plan(
         return Ok(MemoryPlan { memory_bytes, tile_leaves: None, in_core_bytes });
     }
     // The input needs memory in addition to the plan, and so does a picture.
-    let given_bytes = particles.size_bytes().saturating_add(obstacles.all_bytes);
-    let aside_bytes = given_bytes.saturating_add(picture_bytes);
+    let given_bytes = particles.size_bytes().saturating_add(obstacles.own_bytes);
+    let shared_bytes = (obstacles.all_bytes - obstacles.own_bytes).saturating_add(picture_bytes);
+    let share_bytes = allowed_bytes.saturating_sub(shared_bytes) / held_count;
+    let of_all = |bytes: u64| bytes.saturating_add(given_bytes).saturating_mul(held_count);
     let planned = reconstruction::plan_memory(
         particles,
         settings,
         PlanInputs {
             obstacles: &obstacles.obstacles,
             attribute_bytes: particles.attribute_bytes(settings),
-            // A frame in tiles cannot be averaged with others.
-            allows_tiles: settings.temporal == 0,
+            allows_tiles: held_count == 1,
         },
-        allowed_bytes.saturating_sub(aside_bytes),
+        share_bytes.saturating_sub(given_bytes),
     )?;
     let with_picture = |plan: MemoryPlan| MemoryPlan {
-        memory_bytes: plan.memory_bytes.saturating_add(picture_bytes),
+        memory_bytes: (of_all(plan.memory_bytes) - given_bytes).saturating_add(picture_bytes),
         in_core_bytes: plan.in_core_bytes.saturating_add(picture_bytes),
         ..plan
     };
     planned.map(with_picture).map_err(|error| match error {
         MemoryPlanError::TooLarge(too_large) => {
-            let needed_bytes = too_large.needed_bytes.saturating_add(aside_bytes);
-            Cause::TooLarge(TooLarge { needed_bytes, allowed_bytes, picture_bytes, ..too_large })
+            let needed_bytes = of_all(too_large.needed_bytes).saturating_add(shared_bytes);
+            Cause::TooLarge(TooLarge { needed_bytes, allowed_bytes, picture_bytes, held_count, ..too_large })
         }
         MemoryPlanError::VoxelTooSmall(too_small) => Cause::VoxelTooSmall(too_small),
         MemoryPlanError::ObstacleTooFar(too_far) => {

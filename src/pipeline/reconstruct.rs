@@ -117,7 +117,7 @@ impl LoadedFrame {
         memory_bytes: u64,
     ) -> Result<Reconstruction, FrameError> {
         let path = &*self.path;
-        let smoothed = self.clone().smooth(settings, obstacles, outputs, memory_bytes)?;
+        let smoothed = self.clone().smooth(settings, obstacles, outputs, (memory_bytes, 1))?;
         let SmoothedAlone { frame, start, obstacles, mut warnings } = smoothed;
         let surface = stage(path, Stage::Contour, || method::contour(frame, settings, outputs))?;
         let seconds = start.elapsed().as_secs_f64();
@@ -126,13 +126,13 @@ impl LoadedFrame {
         Ok(Reconstruction { surface, seconds, obstacles, warnings })
     }
 
-    /// The first two stages of [`reconstruct`](Self::reconstruct).
+    /// The first two stages of [`reconstruct`](Self::reconstruct), within the memory limit for this number of frames.
     pub(crate) fn smooth(
         self,
         settings: &Settings,
         obstacles: &ObstacleFiles,
         outputs: &OutputOptions,
-        memory_bytes: u64,
+        (memory_bytes, held_count): (u64, u64),
     ) -> Result<SmoothedAlone, FrameError> {
         let LoadedFrame { path, number, cloud, mut warnings, .. } = self;
         let path = &*path;
@@ -144,8 +144,8 @@ impl LoadedFrame {
         warnings.append(&mut loaded.warnings);
         let obstacles = loaded.recorded.clone();
         let given = FrameInput::InMemory(cloud);
-        let plan =
-            stage(path, Stage::Read, || method::plan(&given, &loaded, settings, outputs, memory_bytes))?;
+        let limit = (memory_bytes, held_count);
+        let plan = stage(path, Stage::Read, || method::plan(&given, &loaded, settings, outputs, limit))?;
         let start = Instant::now();
         let rasterize = || method::rasterize(given, loaded, settings, &plan, &outputs.folder);
         let frame = stage(path, Stage::Rasterize, rasterize)?;

@@ -61,6 +61,8 @@ pub enum InputWarning {
     Irregular { irregularity: f64, suitable: Preset },
     /// The particles cannot be followed to the frames around: they have no ids, and no velocities with a time step.
     NotFollowed,
+    /// The frame has no number, so no frame is before or after it.
+    NotNumbered,
     /// The frames around hardly count, because this share of their weight was confident.
     HardlyFollowed { confidence: f64 },
     /// The particles are too few to choose a preset by them.
@@ -302,10 +304,15 @@ impl fmt::Display for InputWarning {
                 "the surface is not averaged with the frames around it: the particles have no ids of their own, \
                  and no velocities with a time step, by which they could be followed",
             ),
+            InputWarning::NotNumbered => f.write_str(
+                "the surface is not averaged with those of other frames: its name has no frame number; a time in a \
+                 name is none",
+            ),
             InputWarning::HardlyFollowed { confidence } => write!(
                 f,
-                "the surface is hardly averaged with the frames around it, which count {} %: few of its particles could be \
-                 followed, or they move irregularly; check the ids, or the unit and the time step of the velocities",
+                "the surface is hardly averaged with the frames around it: only {} % of their weight was used, because few \
+                 of its particles could be followed, or they move irregularly; check the ids, or the unit and the time \
+                 step of the velocities",
                 (100.0 * confidence).round()
             ),
             InputWarning::PresetNotMeasured { used } => write!(

@@ -1,6 +1,7 @@
 //! Frames that are averaged with those around them: whatever the order in which they come, and however often the
 //! daemon is killed, the results end as those of `convert`.
 
+use std::fs;
 use std::thread;
 use std::time::Duration;
 
@@ -99,6 +100,13 @@ fn frames_beside_broken_ones_end() {
     scene.put("in/dam.102.ply", frame(102));
     scene.once(&options).assert_status(0);
     scene.assert_as_converted(&options);
+    // A good frame breaks, and then breaks in another way.
+    fs::remove_file(scene.path("out/dam.4.obj")).expect("removed");
+    for broken in ["ply\nformat nonsense 1.0\n", "ply\nformat other 1.0\n"] {
+        scene.put("in/dam.4.ply", broken);
+        scene.once(&options).assert_status(1);
+        scene.assert_as_converted(&options);
+    }
 }
 
 /// A mesh among the particles is between no frames, whenever it comes.
@@ -137,5 +145,10 @@ fn missing_obstacle_of_a_frame_concerns_only_this_frame() {
     scene.assert_as_converted(&options);
     scene.write("body.3.obj", body(0.3));
     scene.once(&options).assert_status(0);
+    scene.assert_as_converted(&options);
+    // It breaks.
+    fs::remove_file(scene.path("out/dam.3.obj")).expect("removed");
+    scene.write("body.3.obj", "v 0 0 nonsense\n");
+    scene.once(&options).assert_status(1);
     scene.assert_as_converted(&options);
 }

@@ -123,6 +123,75 @@ fn changed_frames_concern_those_around_them() {
     assert_eq!(names.iter().filter(|name| name.ends_with(".obj")).count(), 3, "{names:?}");
 }
 
+/// The memory that a frame needs with those around it suffices for all ways to compute them.
+#[test]
+fn frames_that_need_more_memory_fail_with_a_sufficient_amount() {
+    let folder = prepared("id");
+    let folder = folder.path();
+    let small = ["--voxel-size", "0.02", "--threads", "1"];
+    let with_memory = |input: &str, out: &str, memory: u64, more: &[&str]| {
+        let memory = format!("{memory}MiB");
+        let arguments = ["convert", input, "--out", out, "--memory", &memory];
+        meniscus(folder, &[&arguments[..], &OPTIONS, &small, more].concat())
+    };
+    let needed = |result: &RunResult| -> u64 {
+        let amounts = result.err.split("needs at least ").skip(1);
+        let amounts = amounts.filter_map(|after| after.split(' ').next()?.parse().ok());
+        amounts.max().unwrap_or_else(|| panic!("no amount: {}", result.err))
+    };
+    let averaged = ["--temporal", "2"];
+    // Shards require the folder.
+    fs::create_dir(folder.join("shards")).expect("made");
+    let refused = with_memory("in", "out", 1, &averaged);
+    assert!(refused.err.contains("--temporal, which keeps 6 frames in memory"), "{}", refused.err);
+    let amount = needed(&refused);
+    assert_ne!(with_memory("in", "out", amount - 1, &averaged).status, 0);
+    for (out, memory, more) in [("plenty", 2000, ""), ("little", amount, ""), ("shards", amount, "--shard")] {
+        for shard in if more.is_empty() { &[""][..] } else { &["2/2", "1/2"] } {
+            let more: Vec<&str> = [more, shard].into_iter().filter(|part| !part.is_empty()).collect();
+            let result = with_memory("in", out, memory, &[&averaged[..], &more].concat());
+            assert_eq!(result.status, 0, "{}", result.err);
+            assert!(!result.err.contains("not averaged"), "{}", result.err);
+        }
+    }
+    let plenty = contents(&folder.join("plenty"));
+    assert!(contents(&folder.join("little")) == plenty);
+    assert!(contents(&folder.join("shards")) == plenty);
+    // A frame without others needs no more than without the option, and may be computed in tiles.
+    fs::create_dir(folder.join("single")).expect("made");
+    fs::copy(folder.join("in/dam.1.ply"), folder.join("single/dam.1.ply")).expect("copied");
+    let amount = needed(&with_memory("single", "alone", 1, &[]));
+    for (out, more) in [("alone", &[][..]), ("averaged", &averaged)] {
+        let result = with_memory("single", out, amount, more);
+        assert_eq!(result.status, 0, "{}", result.err);
+    }
+    let surface = |out: &str| fs::read_to_string(folder.join(out).join("dam.1.obj")).expect("a mesh");
+    let geometry =
+        |text: String| text.lines().filter(|line| !line.starts_with('#')).collect::<Vec<_>>().join("\n");
+    assert_eq!(geometry(surface("alone")), geometry(surface("averaged")));
+}
+
+/// Frames are averaged with those at the most frequent distance, and only frames with numbers are.
+#[test]
+fn irregular_numbers_are_noted() {
+    let folder = prepared("id");
+    let folder = folder.path();
+    let regular = convert(folder, "out", &[]);
+    assert!(!regular.out.contains("with fewer others"), "{}", regular.out);
+    write_frame(&folder.join("in"), 60, "id");
+    let irregular = convert(folder, "out", &[]);
+    let note = "--temporal averages 3 frames with fewer others";
+    assert!(irregular.out.contains(note), "{}{}", irregular.out, irregular.err);
+    fs::create_dir(folder.join("times")).expect("made");
+    for number in 1..=3 {
+        let time = folder.join(format!("times/dam_0.0{number}.ply"));
+        fs::copy(folder.join(format!("in/dam.{number}.ply")), time).expect("copied");
+    }
+    let times = [&["convert", "times", "--out", "averaged", "--temporal", "2"][..], &OPTIONS].concat();
+    let times = meniscus(folder, &times);
+    assert!(times.err.contains("its name has no frame number"), "{}", times.err);
+}
+
 /// Some programs write ids as floats.
 #[test]
 fn ids_may_be_floats() {

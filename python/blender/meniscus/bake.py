@@ -286,7 +286,7 @@ class MENISCUS_OT_bake(bpy.types.Operator):
         min=0,
         max=3,
         description="Average each surface with those of this many frames before and after it, along the motion of the "
-        "points. They need an attribute id, or velocities per second",
+        "points. They need an attribute id, or velocities per second. All frames have the options of the first",
     )
     is_linked: BoolProperty(
         name="Show the result", default=True, description="Show the baked file in place of the live surface"

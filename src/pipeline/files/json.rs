@@ -101,7 +101,26 @@ pub(crate) mod hex {
     }
 
     pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<u128, D::Error> {
-        u128::from_str_radix(&String::deserialize(from)?, 16).map_err(D::Error::custom)
+        parse(&String::deserialize(from)?)
+    }
+
+    fn parse<E: Error>(text: &str) -> Result<u128, E> {
+        u128::from_str_radix(text, 16).map_err(E::custom)
+    }
+
+    pub(crate) mod option {
+        use super::*;
+
+        pub(crate) fn serialize<S: Serializer>(hash: &Option<u128>, to: S) -> Result<S::Ok, S::Error> {
+            match hash {
+                Some(hash) => super::serialize(hash, to),
+                None => to.serialize_none(),
+            }
+        }
+
+        pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<u128>, D::Error> {
+            Option::<String>::deserialize(from)?.map(|text| parse(&text)).transpose()
+        }
     }
 }
 

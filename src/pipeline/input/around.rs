@@ -1,6 +1,7 @@
 //! The frames before and after a frame, with which its surface is averaged (`--temporal`).
 
-use std::collections::{BTreeMap, HashMap};
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::Bound;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -54,9 +55,9 @@ pub struct RecordedAround {
     pub steps: i32,
     /// Its name, without folder.
     pub name: String,
-    /// The hash of its bytes; 0 if it was left out, because it could not be read or computed.
-    #[serde(with = "hex")]
-    pub hash: u128,
+    /// The hash of its bytes; `None` if it was left out, because it could not be read or computed.
+    #[serde(with = "hex::option", default, skip_serializing_if = "Option::is_none")]
+    pub hash: Option<u128>,
     /// The names and hashes of its obstacle files.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub obstacles: String,
@@ -66,7 +67,7 @@ impl AroundFrame {
     /// The frame as records contain it: independent of the folder that it is in.
     pub fn recorded(&self, hash: Option<u128>, obstacles: &str) -> RecordedAround {
         let (name, obstacles) = (frame_name(&self.path), obstacles.to_owned());
-        RecordedAround { steps: self.steps, name, hash: hash.unwrap_or(0), obstacles }
+        RecordedAround { steps: self.steps, name, hash, obstacles }
     }
 }
 
@@ -84,13 +85,15 @@ pub(crate) fn recorded(around: &[FoundFrame]) -> Vec<RecordedAround> {
 pub struct NumberedFrames<T> {
     /// Several frames with one number are between it and the next: they are averaged with none.
     frames: BTreeMap<i64, Vec<T>>,
-    /// How often each difference between a number and the next occurs. The smallest one is a step.
+    /// How often each difference between a number and the next occurs.
     gaps: BTreeMap<i64, usize>,
+    /// The same, by count. The last one is a step: the most frequent difference, and the smallest of these.
+    by_count: BTreeSet<(usize, Reverse<i64>)>,
 }
 
 impl<T> Default for NumberedFrames<T> {
     fn default() -> NumberedFrames<T> {
-        NumberedFrames { frames: BTreeMap::new(), gaps: BTreeMap::new() }
+        NumberedFrames { frames: BTreeMap::new(), gaps: BTreeMap::new(), by_count: BTreeSet::new() }
     }
 }
 
@@ -128,8 +131,8 @@ impl<T: PartialEq> NumberedFrames<T> {
     }
 
     /// By how much numbers of frames next to each other differ.
-    fn step(&self) -> Option<i64> {
-        self.gaps.keys().next().copied()
+    pub fn step(&self) -> Option<i64> {
+        self.by_count.last().map(|(_, Reverse(gap))| *gap)
     }
 
     /// The differences between a number and those before and after it.
@@ -141,12 +144,28 @@ impl<T: PartialEq> NumberedFrames<T> {
 
     fn count_gaps(&mut self, gaps: impl IntoIterator<Item = Option<i64>>, are_added: bool) {
         for gap in gaps.into_iter().flatten() {
-            let count = self.gaps.entry(gap).or_default();
-            *count = if are_added { *count + 1 } else { count.saturating_sub(1) };
-            if *count == 0 {
-                self.gaps.remove(&gap);
+            let former = self.gaps.remove(&gap).unwrap_or(0);
+            self.by_count.remove(&(former, Reverse(gap)));
+            let count = if are_added { former + 1 } else { former.saturating_sub(1) };
+            if count > 0 {
+                self.gaps.insert(gap, count);
+                self.by_count.insert((count, Reverse(gap)));
             }
         }
+    }
+
+    /// Whether a frame up to `reach` steps before or after this one is missing although there are frames at its
+    /// number or beyond, or this one shares its number.
+    pub fn is_beside_gap(&self, number: i64, reach: u32) -> bool {
+        let is_missing = |steps: i64| {
+            let far = self.step().and_then(|step| step.checked_mul(steps));
+            far.and_then(|far| number.checked_add(far)).is_some_and(|at| {
+                let mut beyond = if steps < 0 { self.frames.range(..=at) } else { self.frames.range(at..) };
+                self.only(at).is_none() && beyond.next().is_some()
+            })
+        };
+        let reach = i64::from(reach);
+        self.only(number).is_none() || (-reach..=reach).any(|steps| steps != 0 && is_missing(steps))
     }
 
     /// Whether a frame up to `reach` steps after this one may still come.
@@ -172,9 +191,10 @@ impl<T: PartialEq> NumberedFrames<T> {
     /// others have, too, is next to no other one.
     pub fn around(&self, number: Option<i64>, reach: u32) -> Vec<(i32, i64, &T)> {
         let Some(number) = number.filter(|number| self.only(*number).is_some()) else { return Vec::new() };
+        let Some(step) = self.step() else { return Vec::new() };
         let reach = i32::try_from(reach).unwrap_or(i32::MAX);
         let frame = |steps: i32| {
-            let number = number.checked_add(self.step()?.checked_mul(steps.into())?)?;
+            let number = number.checked_add(step.checked_mul(steps.into())?)?;
             Some((steps, number, self.only(number)?))
         };
         (-reach..=reach).filter(|steps| *steps != 0).filter_map(frame).collect()
@@ -233,13 +253,16 @@ impl KnownHashes {
 }
 
 /// Finds and hashes the frames around a frame, with their obstacles. One that cannot be read now is left out, with
-/// a warning.
+/// a warning; also warns if none can be found, because the frame has no number.
 pub(crate) fn find_around(
     frame: &Frame,
     hashes: &KnownHashes,
     index_policy: IndexPolicy,
 ) -> (Vec<FoundFrame>, Vec<Warning>) {
     let mut warnings = Vec::new();
+    if frame.settings.temporal > 0 && frame.number.is_none() {
+        warnings.push(Warning::Input(InputWarning::NotNumbered));
+    }
     let mut find = |around: &AroundFrame| {
         let content = content_of(around, &frame.obstacles, hashes, index_policy);
         let content = content.map_err(|error| warnings.push(not_averaged(&error))).ok();
@@ -307,9 +330,30 @@ mod tests {
         // A gap, and numbers with steps.
         assert_eq!(numbers(&[10, 20, 40, 50], 40, 2), [(-2, 20), (1, 50)]);
         assert_eq!(numbers(&[7], 7, 3), []);
+        // One odd number, and the smaller one of two steps that are equally frequent.
+        assert_eq!(numbers(&[0, 100, 200, 300, 303], 200, 1), [(-1, 100), (1, 300)]);
+        assert_eq!(numbers(&[0, 100, 200, 300, 303], 303, 1), []);
+        assert_eq!(numbers(&[1, 2, 4], 2, 1), [(-1, 1)]);
         assert_eq!(numbers(&[i64::MIN, i64::MAX, 0], 0, 3), [(1, i64::MAX)]);
         let alone = NumberedFrames::of_files(&files(&["drop.ply"]));
         assert_eq!(alone.frames_around(None, 2).len(), 0);
+    }
+
+    #[test]
+    fn frames_beside_gaps_are_not_those_at_the_ends() {
+        let beside_gaps = |given: &[i64], reach| -> Vec<i64> {
+            let mut numbered = NumberedFrames::default();
+            given.iter().enumerate().for_each(|(index, number)| _ = numbered.insert(*number, index));
+            let mut found = given.to_vec();
+            found.retain(|number| numbered.is_beside_gap(*number, reach));
+            found
+        };
+        assert!(beside_gaps(&[1, 2, 3, 4], 3).is_empty());
+        assert_eq!(beside_gaps(&[1, 2, 3, 5, 6, 7], 1), [3, 5]);
+        assert_eq!(beside_gaps(&[1, 2, 3, 5, 6, 7], 2), [2, 3, 5, 6]);
+        assert_eq!(beside_gaps(&[0, 100, 200, 300, 303], 1), [303]);
+        assert_eq!(beside_gaps(&[1, 2, 2, 3, 4], 1), [1, 2, 2, 3]);
+        assert_eq!(beside_gaps(&[i64::MIN, i64::MAX, 0], 1), [i64::MIN, 0]);
     }
 
     #[test]

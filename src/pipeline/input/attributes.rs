@@ -10,6 +10,8 @@ use crate::surface::particles::{Attribute, AttributeValues, ParticleFilter, Role
 
 use crate::pipeline::warning::{InputWarning, Warning};
 
+use super::frame::Frame;
+
 /// The attributes that a frame needs from its file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct AttributeRequest {
@@ -78,6 +80,11 @@ impl RequiredAttribute {
 }
 
 impl AttributeRequest {
+    /// The attributes that a frame requires.
+    pub(crate) fn for_frame(frame: &Frame) -> AttributeRequest {
+        AttributeRequest { follows: frame.is_averaged(), ..AttributeRequest::for_settings(&frame.settings) }
+    }
+
     /// The attributes that these settings require.
     pub fn for_settings(settings: &Settings) -> AttributeRequest {
         let (filter, per_particle_radius) = (settings.filter.clone(), settings.per_particle_radius.clone());

@@ -115,9 +115,15 @@ impl Frame {
         Frame { outputs: Arc::new(OutputOptions { picture, ..(*self.outputs).clone() }), ..self.clone() }
     }
 
-    /// Whether its surface is averaged with those of other frames, if there are any.
+    /// Whether its surface is averaged with those of other frames.
     pub(crate) fn is_averaged(&self) -> bool {
-        self.job == Job::Surface && self.settings.temporal > 0
+        self.job == Job::Surface && !self.around.is_empty()
+    }
+
+    /// How many frames are in memory at most while it is computed. All frames that are averaged have the same number,
+    /// so whether one fits does not depend on the frame for which it is computed.
+    pub(crate) fn held_count(&self) -> u64 {
+        if self.is_averaged() { self.settings.held_frame_count() } else { 1 }
     }
 
     /// Whether pictures of the frame are written.

@@ -58,7 +58,7 @@ pub(crate) fn provenance(
     if !around.is_empty() {
         let text = |RecordedAround { steps, name, hash, obstacles }: &RecordedAround| {
             let with = if obstacles.is_empty() { String::new() } else { format!(" with {obstacles}") };
-            format!("{steps:+} {name} {}{with}", hash_text(*hash))
+            format!("{steps:+} {name} {}{with}", hash_text(hash.unwrap_or(0)))
         };
         pairs.push(("around", around.iter().map(text).collect::<Vec<_>>().join(", ")));
     }

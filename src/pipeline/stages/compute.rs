@@ -25,7 +25,6 @@ use crate::surface::options::Settings;
 use crate::surface::reconstruction::FrameSurface;
 use crate::surface::temporal::{OtherFrame, TimedFrame};
 
-use super::read::of_all_held;
 use super::{
     FinishedFrame, InputInfo, Outlet, Passed, ReadContent, StageContext, Stages, WorkItem, outcome_of,
 };
@@ -229,9 +228,9 @@ fn smoothed_alone(
     let loaded = LoadedFrame::of_bytes(path, Some(around.number), &bytes, settings)?;
     drop(bytes);
     let moving = loaded.moving_particles();
-    let allowed_bytes = shared.options.memory_bytes / settings.held_frame_count();
-    let smoothed = loaded.smooth(settings, &frame.obstacles, &frame.outputs, allowed_bytes);
-    let smoothed = smoothed.map_err(|FrameError { cause, .. }| failed(of_all_held(cause, settings)))?;
+    let limit = (shared.options.memory_bytes, frame.held_count());
+    let smoothed = loaded.smooth(settings, &frame.obstacles, &frame.outputs, limit);
+    let smoothed = smoothed.map_err(|FrameError { cause, .. }| failed(cause))?;
     if smoothed.obstacles != content.obstacles {
         return Err(failed(Cause::Changed));
     }

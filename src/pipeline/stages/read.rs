@@ -28,8 +28,7 @@ use crate::pipeline::method;
 use crate::pipeline::records::content::irreplaceable_output;
 use crate::pipeline::records::provenance::MadeFrom;
 use crate::pipeline::warning::Warning;
-use crate::surface::options::Settings;
-use crate::surface::reconstruction::{MemoryPlan, TooLarge};
+use crate::surface::reconstruction::MemoryPlan;
 
 use super::{
     FinishedFrame, InputInfo, InputNotes, ObstacleSummary, ReadContent, Stages, WorkItem, outcome_of,
@@ -125,7 +124,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             observer.planned(frame, plan, given_bytes);
         }
         memory.resize(given_bytes);
-        plan.memory_bytes.saturating_add(given_bytes).saturating_mul(frame.settings.held_frame_count())
+        plan.memory_bytes.saturating_add(given_bytes)
     }
 
     /// The bytes of a frame that is converted to another particle format.
@@ -177,7 +176,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let obstacles = found.map_err(|error| Outcome::Failed(of_obstacle(error)))?;
         let shared = self.shared;
         let (around, left_out_warnings) = find_around(frame, &shared.hashes, shared.options.index_policy);
-        let wanted = AttributeRequest::for_settings(&frame.settings);
+        let wanted = AttributeRequest::for_frame(frame);
         if let Some(file) = self.worth_streaming(frame).map_err(|error| unreadable(frame, error))? {
             let hash = file.hash().map_err(|error| unreadable(frame, error))?;
             let input = InputState { stamp: file.stamp(), hash };
@@ -192,9 +191,8 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                 let choose = move || {
                     let failed = |cause| FrameError { path: path.clone(), during: Stage::Read, cause };
                     let particles = particles.chosen_by(wanted.filter.as_ref()).map_err(failed)?;
-                    // `left_out_warnings` is empty: averages need attributes, so frames with them are not streamed.
-                    let (warnings, unused_velocity) = (particles.warnings(), particles.unused_velocity());
-                    let noted = InputNotes { warnings: warnings.map_err(failed)?, unused_velocity };
+                    let warnings = [particles.warnings().map_err(failed)?, left_out_warnings].concat();
+                    let noted = InputNotes { warnings, unused_velocity: particles.unused_velocity() };
                     Ok((FrameInput::OnDisk(Box::new(particles)), noted))
                 };
                 return self.parse_and_plan(order, frame, choose, (obstacles, around), input);
@@ -221,21 +219,22 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         (found, around): (FoundObstacles, Vec<FoundFrame>),
         input: InputState,
     ) -> Result<ReadResult, Outcome> {
-        let allowed_bytes = self.shared.options.memory_bytes / frame.settings.held_frame_count();
+        let memory_bytes = self.shared.options.memory_bytes;
         let frame = frame.clone();
         let planned = self.scheduler.run(order, move || {
             let (given, mut noted) = parse()?;
             let warnings = &mut noted.warnings;
             let failed = |cause| frame.failed(Stage::Read, cause);
             warnings.extend(position_doubts(&given, &frame.settings).map_err(failed)?);
-            let loaded = frame.obstacles.load(found, &frame.settings, allowed_bytes);
+            let loaded = frame.obstacles.load(found, &frame.settings, memory_bytes);
             let mut obstacles = loaded.map_err(|error| failed(Cause::Obstacle(Box::new(error))))?;
             warnings.append(&mut obstacles.warnings);
             let members = obstacles.obstacles.members.iter().map(Arc::as_ref);
             let by_path = obstacles.paths.iter().map(PathBuf::as_path).zip(members);
             warnings.extend(out_of_reach(by_path, &given, &frame.settings).map_err(failed)?);
-            let plan = method::plan(&given, &obstacles, &frame.settings, &frame.outputs, allowed_bytes);
-            let plan = plan.map_err(|cause| failed(of_all_held(cause, &frame.settings)))?;
+            let limit = (memory_bytes, frame.held_count());
+            let plan = method::plan(&given, &obstacles, &frame.settings, &frame.outputs, limit);
+            let plan = plan.map_err(failed)?;
             if plan.tile_leaves.is_some() {
                 let whole_bytes = plan.in_core_bytes.saturating_add(given.size_bytes());
                 warnings.push(Warning::Tiled { whole_bytes });
@@ -248,7 +247,8 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
 
     /// The file of a frame that should be streamed in batches instead of being read at once.
     fn worth_streaming(&self, frame: &Frame) -> io::Result<Option<InputFile>> {
-        if step_of(&frame.input).is_some() || !needs_positions_only(&frame.settings) {
+        // Only positions can be read in batches.
+        if step_of(&frame.input).is_some() || !AttributeRequest::for_frame(frame).is_empty() {
             return Ok(None);
         }
         let file = InputFile::open(&frame.input)?;
@@ -290,24 +290,6 @@ fn refuse_to_replace(frame: &Frame) -> Result<(), FrameError> {
 /// The outcome of a frame whose file cannot be read.
 fn unreadable(frame: &Frame, error: impl Into<meniscus_formats::Error>) -> Outcome {
     Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error.into()))
-}
-
-/// The error of a frame that needs more than its part of the memory, as an error about all of the memory.
-pub(super) fn of_all_held(cause: Cause, settings: &Settings) -> Cause {
-    let count = settings.held_frame_count();
-    match cause {
-        Cause::TooLarge(too_large) => Cause::TooLarge(TooLarge {
-            needed_bytes: too_large.needed_bytes.saturating_mul(count),
-            allowed_bytes: too_large.allowed_bytes.saturating_mul(count),
-            ..too_large
-        }),
-        cause => cause,
-    }
-}
-
-/// Whether a frame needs only the positions of its particles, so that they can be read in batches.
-fn needs_positions_only(settings: &Settings) -> bool {
-    AttributeRequest::for_settings(settings).is_empty()
 }
 
 /// The memory for reading a file, as a multiple of its size: its bytes, and the parsed data.

@@ -165,3 +165,76 @@ impl<'a, T> Gate<'a, T> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::link;
+    use super::*;
+    use crate::surface::flicker::MovingParticles;
+    use crate::surface::grid::Field;
+    use crate::surface::level_set::NarrowBand;
+    use crate::surface::options::MethodOptions;
+    use crate::surface::particles::OwnedPositions;
+
+    fn settings() -> Arc<Settings> {
+        Arc::new(Settings::paper(0.1, &MethodOptions::default()).expect("settings"))
+    }
+
+    fn content(name: &str) -> FrameContent {
+        FrameContent { path: name.into(), hash: 1, obstacles: String::new() }
+    }
+
+    /// A frame with this number of particles.
+    fn frame(particle_count: usize) -> Arc<TimedFrame> {
+        let positions = OwnedPositions::F32(vec![[0.0; 3]; particle_count]);
+        let particles = MovingParticles { positions, ids: None, velocities: None };
+        let band = NarrowBand { topology: Arc::default(), phi: Field::default(), half_width: 3.0 };
+        Arc::new(TimedFrame::new(Arc::new(band), particles, 1.0))
+    }
+
+    #[test]
+    fn oldest_frames_give_way_to_later_ones() {
+        let (settings, bytes) = (settings(), frame(10).size_bytes());
+        for (limit_bytes, count, expected) in [
+            (10 * bytes, 2, ["b", "c", "d"].as_slice()),
+            (2 * bytes, 9, &["c", "d"]),
+            // The latest is kept in any case.
+            (1, 9, &["d"]),
+        ] {
+            let frames = SmoothedFrames::new(limit_bytes);
+            let user = frames.user();
+            for name in ["a", "b", "c", "d"] {
+                frames.keep(content(name), &settings, frame(10), count);
+            }
+            let mut kept = vec!["a", "b", "c", "d"];
+            kept.retain(|name| frames.find(&content(name), &settings).is_some());
+            assert_eq!(kept, expected);
+            let other_content = FrameContent { hash: 2, ..content("d") };
+            assert!(frames.find(&other_content, &settings).is_none());
+            drop(user);
+            assert!(frames.find(&content("d"), &settings).is_none());
+        }
+    }
+
+    #[test]
+    fn gate_holds_frames_beside_one_that_is_computed() {
+        let frames = SmoothedFrames::new(0);
+        let user = frames.user();
+        let computing = user.begin(Path::new("a"));
+        let (outlet, inlet) = link(2);
+        outlet.reserve().send("beside a");
+        outlet.reserve().send("elsewhere");
+        let mut gate = Gate::new(&inlet, &frames);
+        let mut receive = || {
+            gate.receive(|item| {
+                let around = if *item == "beside a" { Path::new("a") } else { Path::new("b") };
+                !frames.is_computing([around].into_iter())
+            })
+        };
+        assert_eq!(receive(), Some("elsewhere"));
+        drop(computing);
+        assert_eq!(receive(), Some("beside a"));
+        drop(outlet);
+        assert_eq!(receive(), None);
+    }
+}

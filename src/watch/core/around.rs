@@ -3,7 +3,7 @@
 //!
 //! ```text
 //!   held ──▶ waits until the frames around it are complete, or for --temporal-wait ──▶ queued
-//!   done ──▶ a frame around it came, or was converted from another content ──▶ held
+//!   done ──▶ a frame around it came, failed, or was converted from another content ──▶ held
 //! ```
 //!
 //! Every frame is compared with its record when its conversion ends. A frame is converted again once for each state
@@ -15,7 +15,7 @@ use std::sync::Arc;
 use crate::pipeline::{AroundFrame, Job, Reason, RecordedAround, UnfinishedState};
 use crate::surface::options::Settings;
 
-use super::frames::{FrameId, FramePhase, FrameState};
+use super::frames::{FrameId, FramePhase, FrameState, TriedAround};
 use super::sequences::SequenceSettings;
 use super::state::Core;
 
@@ -103,8 +103,8 @@ impl Core {
         !matches!(phase, None | Some(FramePhase::Settling(_) | FramePhase::FindingSteps))
     }
 
-    /// Whether a held frame waits for others that it is averaged with. With `once`, it waits for files that exist,
-    /// and otherwise also for frames after it that may still come.
+    /// Whether a held frame waits for others that it is averaged with. It waits for files that exist and, unless
+    /// [`WatchConfig::once`](crate::watch::config::WatchConfig::once) is set, for frames after it that may still come.
     pub(super) fn awaits_frames_around(&mut self, id: &FrameId, settings: &Settings) -> bool {
         let waits = settings.temporal > 0 && self.has_to_wait(id, settings.temporal);
         let (now, wait) = (self.now.at, self.config.temporal_wait);
@@ -197,32 +197,39 @@ impl Core {
         let Some(recorded) = done(id).map(|record| record.around.clone()) else { return };
         let place = |around: &RecordedAround| (around.steps, around.name.clone());
         let complete = self.known_around(id, reach).into_iter().filter(|(.., id)| self.is_complete(id));
-        let current: Vec<RecordedAround> = complete
+        let current: Vec<TriedAround> = complete
             .map(|(steps, number, around)| {
                 let frame = AroundFrame { steps, path: around.path.to_path_buf(), number };
-                let is_done = self.frames.phase(&around) == Some(FramePhase::Done);
-                if let Some(record) = done(&around).filter(|_| is_done) {
-                    return frame.recorded(Some(record.input_hash), &record.obstacles);
+                let state = self.frames.get(&around);
+                let in_phase = |phase: FramePhase| state.filter(|state| state.phase == phase);
+                if let Some(record) = in_phase(FramePhase::Done).and(done(&around)) {
+                    let around = frame.recorded(Some(record.input_hash), &record.obstacles);
+                    return TriedAround { around, failed: None };
                 }
-                // The content of a frame that is not done is not known.
                 let unknown = frame.recorded(None, "");
+                if let Some(failed) = in_phase(FramePhase::Failed) {
+                    let failed = Some((failed.stamp, failed.obstacle_stamp.clone()));
+                    return TriedAround { around: unknown, failed };
+                }
+                // Until it is done or has failed, its content counts as unchanged.
                 let known = recorded.iter().find(|recorded| place(recorded) == place(&unknown));
-                known.cloned().unwrap_or(unknown)
+                TriedAround { around: known.cloned().unwrap_or(unknown), failed: None }
             })
             .collect();
         let is_elsewhere = |recorded: &RecordedAround| {
-            !current.iter().any(|around| place(around) == place(recorded))
+            !current.iter().any(|tried| place(&tried.around) == place(recorded))
                 && self.exists_beside(id, &recorded.name)
         };
-        let is_other =
-            current.iter().any(|around| !recorded.contains(around)) || recorded.iter().any(is_elsewhere);
+        // The content of a frame that failed is not known: the pipeline compares it.
+        let is_new = |tried: &TriedAround| tried.failed.is_some() || !recorded.contains(&tried.around);
+        let is_other = current.iter().any(is_new) || recorded.iter().any(is_elsewhere);
         let Some(frame) = self.frames.get_mut(id).filter(|_| is_other) else { return };
         if frame.tried_around.as_ref() == Some(&current) {
             return;
         }
         (frame.tried_around, frame.reason) = (Some(current), Some(Reason::FramesAroundChanged));
         self.log_about(&*id.path, |frame| {
-            tracing::info!(%frame, "a frame around it has come or changed: converting it again");
+            tracing::info!(%frame, "a frame around it has come, changed or failed: converting it again");
         });
         self.set_phase(id, FramePhase::Held);
         self.queue_if_ready(id);

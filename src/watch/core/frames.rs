@@ -141,7 +141,7 @@ pub(crate) struct FrameState {
     /// Since when it is held for the frames around it.
     pub(crate) waits_since: Option<Instant>,
     /// The frames around it for which it was converted again.
-    pub(crate) tried_around: Option<Vec<RecordedAround>>,
+    pub(crate) tried_around: Option<Vec<TriedAround>>,
     /// The stamps of its obstacles at the last inspection; `None` without obstacles.
     pub(crate) obstacles: Option<Arc<ObstacleStamps>>,
     /// Why it is to be converted.
@@ -150,6 +150,15 @@ pub(crate) struct FrameState {
     alarm_at: Option<Instant>,
     /// The number of the inspection in progress.
     inspection: Option<u64>,
+}
+
+/// The state of a frame around another one.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct TriedAround {
+    /// Its content, as far as it is known.
+    pub(crate) around: RecordedAround,
+    /// If it failed, the stamp of its file, and a hash of those of its obstacles.
+    pub(crate) failed: Option<(FileStamp, Option<String>)>,
 }
 
 impl FramePhase {

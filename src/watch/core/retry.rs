@@ -137,8 +137,13 @@ mod tests {
         assert_eq!(scratch(io::ErrorKind::PermissionDenied), RetryAction::Retry);
         assert_eq!(scratch(io::ErrorKind::NotFound), RetryAction::Retry);
         assert_eq!(smoothing(Cause::Changed), RetryAction::Retry);
-        let too_large =
-            TooLarge { needed_bytes: 2, allowed_bytes: 1, requires_in_core: false, picture_bytes: 0 };
+        let too_large = TooLarge {
+            needed_bytes: 2,
+            allowed_bytes: 1,
+            requires_in_core: false,
+            picture_bytes: 0,
+            held_count: 1,
+        };
         assert_eq!(smoothing(Cause::TooLarge(too_large)), RetryAction::AwaitRestart);
         assert_eq!(smoothing(Cause::Panic("no".into())), RetryAction::AwaitChange);
         let obstacle =

@@ -232,8 +232,8 @@ impl fmt::Display for SettingsError {
 impl std::error::Error for SettingsError {}
 
 impl Settings {
-    /// How many frames are in memory at most while one of them is averaged: those that it is averaged with, one of
-    /// which may be computed meanwhile, and itself.
+    /// How many frames are in memory at most while one of them is averaged: those that it is averaged with, itself,
+    /// and a second copy of one that is computed meanwhile.
     #[doc(hidden)]
     pub fn held_frame_count(&self) -> u64 {
         match self.temporal {

@@ -41,11 +41,13 @@ pub struct TooLarge {
     pub requires_in_core: bool,
     /// The part of `needed_bytes` that a picture of the surface takes.
     pub picture_bytes: u64,
+    /// The number of frames for which `needed_bytes` is: more than one if the frame is averaged with others.
+    pub held_count: u64,
 }
 
 impl fmt::Display for TooLarge {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let TooLarge { needed_bytes, allowed_bytes, requires_in_core, picture_bytes } = *self;
+        let TooLarge { needed_bytes, allowed_bytes, requires_in_core, picture_bytes, held_count } = *self;
         let [needed, picture] = [needed_bytes, picture_bytes].map(|bytes| bytes.div_ceil(MEBIBYTE));
         let limit = allowed_bytes / MEBIBYTE;
         if needed_bytes.saturating_sub(picture_bytes) <= allowed_bytes {
@@ -60,6 +62,9 @@ impl fmt::Display for TooLarge {
             "the frame needs at least {needed} MiB of memory and the limit is {limit} MiB: raise --memory or increase \
              --voxel-size"
         )?;
+        if held_count > 1 {
+            write!(f, "; without --temporal, which keeps {held_count} frames in memory, it needs less")?;
+        }
         if requires_in_core {
             f.write_str("; other integrators need less: implicit and adaptive cannot work in tiles")?;
         }
@@ -140,7 +145,8 @@ fn plan_any(
         return Ok(Err(MemoryPlanError::VoxelTooSmall(too_small)));
     }
     let too_large = |needed_bytes, requires_in_core| {
-        let too_large = TooLarge { needed_bytes, allowed_bytes, requires_in_core, picture_bytes: 0 };
+        let too_large =
+            TooLarge { needed_bytes, allowed_bytes, requires_in_core, picture_bytes: 0, held_count: 1 };
         Ok(Err(MemoryPlanError::TooLarge(too_large)))
     };
     let requires_in_core =
