@@ -65,6 +65,7 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Command
         spacing,
         carrier: None,
         ready: BTreeMap::new(),
+        enclosed: BTreeMap::new(),
         failed_count: 0,
         has_warned_of_open_mesh: false,
     };
@@ -77,7 +78,7 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Command
         console.advance_bar();
     }
     console.hide_bar();
-    let (failed_count, carrier) = (scoring.failed_count, scoring.carrier);
+    let Scoring { failed_count, carrier, enclosed, .. } = scoring;
     let summary = totals.summary();
     let (Some(carrier), true) = (carrier, summary.count > 0) else {
         bail!(
@@ -85,7 +86,7 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Command
              after it"
         );
     };
-    report(&frames, &totals, &summary, spacing, carrier, console);
+    report(&frames, &totals, &enclosed, &summary, spacing, carrier, console);
     if let Some(path) = &args.csv {
         write_file(path, |out| scores::write_frames(&totals.frames, out))?;
     }
@@ -99,12 +100,6 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Command
     Ok(if failed_count > 0 { CommandOutcome::SomeFailed } else { CommandOutcome::Done })
 }
 
-/// A frame that was read.
-struct ReadFrame {
-    frame: FlickerFrame,
-    enclosed: Enclosed,
-}
-
 /// The state while frames are read and scored in order.
 struct Scoring<'a> {
     args: &'a FlickerArgs,
@@ -113,7 +108,9 @@ struct Scoring<'a> {
     /// How points are followed from frame to frame. The first frame with particles determines it.
     carrier: Option<Carrier>,
     /// The frames read so far that may be needed again, by number; `None` for unreadable ones.
-    ready: BTreeMap<i64, Option<ReadFrame>>,
+    ready: BTreeMap<i64, Option<FlickerFrame>>,
+    /// What the surfaces of all frames read so far enclose, by number.
+    enclosed: BTreeMap<i64, Enclosed>,
     failed_count: usize,
     /// Whether the first open mesh was reported.
     has_warned_of_open_mesh: bool,
@@ -132,15 +129,17 @@ impl Scoring<'_> {
         for number in numbers {
             if !self.ready.contains_key(&number) {
                 let read = self.read(number, console)?;
+                let enclosed = read.as_ref().map(|frame| (number, enclosed(frame, self.spacing)));
+                self.enclosed.extend(enclosed);
                 self.ready.insert(number, read);
             }
         }
         let found = numbers.map(|number| self.ready.get(&number).and_then(Option::as_ref));
-        let ([Some(before), Some(middle), Some(after)], Some(carrier)) = (found, self.carrier) else {
+        let ([Some(before), Some(middle), Some(after)], Some(carrier), Some(&enclosed)) =
+            (found, self.carrier, self.enclosed.get(&number))
+        else {
             return Ok(None);
         };
-        let (enclosed, next_volume) = (middle.enclosed, after.enclosed.volume);
-        let [before, middle, after] = [before, middle, after].map(|read| &read.frame);
         let name = self.frames.name_of(number);
         if middle.surface().bounds().is_none() {
             console.warning(format_args!("{name}: the mesh is empty, so it has no points to score"));
@@ -161,8 +160,7 @@ impl Scoring<'_> {
             carried_distances(from, to, carrier, spacing, samples).into_iter().flatten().collect()
         };
         let drifts = [distances(middle, after, carrier), distances(before, after, carrier.over(2))];
-        // An open mesh may enclose nothing.
-        let volume_step = (enclosed.volume > 0.0).then(|| next_volume / enclosed.volume - 1.0);
+        let volume_step = volume_step(&self.enclosed, number, self.frames.step);
         let mut scores = FrameScores { flicker: found, drifts, enclosed, volume_step, lag: None };
         let unaveraged = self.frames.files.get(&number).and_then(|files| files.unaveraged.as_ref());
         if let Some(own) = unaveraged.map(|path| catch_panic(path, || read_surface(path))) {
@@ -178,7 +176,7 @@ impl Scoring<'_> {
     }
 
     /// Reads a frame. If it cannot be read, prints the error and returns `None`.
-    fn read(&mut self, number: i64, console: &mut Console) -> Result<Option<ReadFrame>> {
+    fn read(&mut self, number: i64, console: &mut Console) -> Result<Option<FlickerFrame>> {
         let Some(files) = self.frames.files.get(&number) else { return Ok(None) };
         let (spacing, filter) = (self.spacing, self.args.filter.as_ref());
         let frame = match catch_panic(&files.mesh, || read_frame(files, spacing, filter)) {
@@ -201,14 +199,14 @@ impl Scoring<'_> {
         let carrier = match self.carrier {
             Some(carrier) => carrier,
             // A frame without particles does not determine how points are followed.
-            None if !frame.has_particles() => return Ok(Some(ReadFrame::new(frame, spacing))),
+            None if !frame.has_particles() => return Ok(Some(frame)),
             None => {
                 let carrier = self.carrier_of(&frame, &files.particles)?;
                 *self.carrier.insert(carrier)
             }
         };
         if frame.has(carrier) {
-            return Ok(Some(ReadFrame::new(frame, spacing)));
+            return Ok(Some(frame));
         }
         self.failed_count += 1;
         let (lacking, attribute) = match carrier {
@@ -247,10 +245,12 @@ impl Scoring<'_> {
     }
 }
 
-impl ReadFrame {
-    fn new(frame: FlickerFrame, spacing: f64) -> ReadFrame {
-        ReadFrame { enclosed: enclosed(&frame, spacing), frame }
-    }
+/// The change of the volume from a frame to the next, relative to the volume; `None` if either was not read, or encloses
+/// nothing because it is open or turned inside out.
+fn volume_step(enclosed: &BTreeMap<i64, Enclosed>, number: i64, step: i64) -> Option<f64> {
+    let [volume, next] =
+        [enclosed.get(&number)?, enclosed.get(&number.checked_add(step)?)?].map(|at| at.volume);
+    (volume > 0.0 && next >= 0.0).then(|| next / volume - 1.0)
 }
 
 fn line_of(frame: &ScoredFrame) -> String {
@@ -285,6 +285,7 @@ fn drifts_of([first, lag_2]: &[Distribution; 2]) -> String {
 fn report(
     frames: &FlickerFrames,
     totals: &FlickerTotals,
+    enclosed: &BTreeMap<i64, Enclosed>,
     summary: &Distribution,
     spacing: f64,
     carrier: Carrier,
@@ -298,10 +299,11 @@ fn report(
         Carrier::Velocities { seconds } => format!("velocities, {} s between frames", significant(seconds)),
     };
     console.print_line(format_args!("spacing {}; points are tracked by {carrier}", significant(spacing)));
-    let scored = || totals.frames.iter().filter(|frame| frame.summary.count > 0);
-    let ghost_count: usize = scored().map(|frame| frame.enclosed.ghost_count).sum();
-    let volume_step = scored().filter_map(|frame| frame.volume_step).map(f64::abs).max_by(f64::total_cmp);
-    let lags: Vec<f64> = scored().filter_map(|frame| frame.lag).collect();
+    let ghost_count: usize = enclosed.values().map(|at| at.ghost_count).sum();
+    let volume_steps = enclosed.keys().filter_map(|&number| volume_step(enclosed, number, frames.step));
+    let volume_step = volume_steps.map(f64::abs).max_by(f64::total_cmp);
+    let scored = totals.frames.iter().filter(|frame| frame.summary.count > 0);
+    let lags: Vec<f64> = scored.filter_map(|frame| frame.lag).collect();
     let mut line = pluralize(ghost_count, "ghost");
     if let Some(volume_step) = volume_step {
         line += &format!(", largest volume step {:.2} %", 100.0 * volume_step);
