@@ -8,7 +8,7 @@ use meniscus::pipeline::{InputWarning, ScratchFile, Warning, not_followed};
 use meniscus::surface::options::Preset;
 use meniscus::surface::reconstruction::FrameSurface;
 use meniscus::surface::spacing::estimate_spacing;
-use meniscus::surface::temporal::{OtherFrame, TimedFrame};
+use meniscus::surface::temporal::{OtherFrame, TimedFrame, with_particles};
 use meniscus::surface::{
     Attribute, Options, Progress, Reconstructor, RequestedParts, Settings, SmoothedFrame,
 };
@@ -168,8 +168,7 @@ pub(crate) fn average(
     let frame =
         frame.ok_or_else(|| PyRuntimeError::new_err("internal error: the frame has its surface already"))?;
     let other = |(steps, other): &(i32, Py<Smoothed>)| {
-        let frame = other.get().timed.clone().filter(|timed| !timed.is_empty())?;
-        Some(OtherFrame { frame, steps: *steps })
+        Some(OtherFrame { frame: other.get().timed.clone()?, steps: *steps })
     };
     let others: Vec<OtherFrame> = others.iter().filter_map(other).collect();
     let made = run_with_progress(py, threads, None, |_| {
@@ -179,7 +178,7 @@ pub(crate) fn average(
     let (surface, settings) = made.map_err(|error| of_method(error, Path::new("")))?;
     let mut warnings = smoothed.warnings.clone();
     warnings.extend(emptiness(&surface));
-    if !others.is_empty() {
+    if with_particles(&others).next().is_some() {
         let warning = not_followed(&surface.report.temporal).map(Warning::Input);
         warnings.extend(warning.map(|warning| warning.to_string()));
     }

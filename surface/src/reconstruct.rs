@@ -365,10 +365,7 @@ impl<'a> Reconstructor<'a> {
         self.begin(Phase::Smooth);
         let staged = staged.smooth(settings, &mut |fraction| self.advance(Phase::Smooth, fraction));
         let staged = staged.map_err(Error::Scratch)?;
-        let timed = moving.zip(staged.band());
-        let timed = timed.map(|(moving, band)| {
-            Arc::new(TimedFrame::new(Arc::new(band.clone()), moving, settings.spacing))
-        });
+        let timed = moving.and_then(|moving| staged.timed(moving, settings));
         Ok(SmoothedFrame { staged, attributes, timed, settings: settings.clone(), wanted })
     }
 

@@ -132,14 +132,13 @@ struct Around<T> {
 }
 
 impl<T> KeptFrames<T> {
-    /// A frame, and those of the set that are at most `frames` away. `make` makes those that are not kept: with
-    /// their level sets.
+    /// A frame, and those of the set that are at most `frames` away. `make` makes those that are not kept.
     fn around(
         &mut self,
         set: &Set,
         frame: &Frame,
         frames: u32,
-        make: impl Fn(&Frame) -> Outcome<(T, NarrowBand)>,
+        make: impl Fn(&Frame) -> Outcome<(T, Arc<TimedFrame>)>,
     ) -> Outcome<Around<T>> {
         let (kept, reach) = (&mut self.0, frames as usize);
         kept.retain(|kept| kept.set == set.name && kept.number + reach >= frame.number);
@@ -151,9 +150,8 @@ impl<T> KeptFrames<T> {
                 |kept: &KeptFrame<T>| kept.number == number && (number != frame.number || kept.own.is_some());
             if !kept.iter().any(serves) {
                 kept.retain(|kept| kept.number != number);
-                let (own, band) = make(other)?;
-                let timed = TimedFrame::new(Arc::new(band), other.moving_particles(), set.spacing);
-                kept.push(KeptFrame { set: set.name.clone(), number, timed: timed.into(), own: Some(own) });
+                let (own, timed) = make(other)?;
+                kept.push(KeptFrame { set: set.name.clone(), number, timed, own: Some(own) });
             }
             let found = kept.iter_mut().find(|kept| kept.number == number).ok_or("just made")?;
             let timed = Arc::clone(&found.timed);
@@ -180,8 +178,8 @@ fn averaged(
         let (shaped, stats) = shape_particles(cloud(frame), settings);
         let staged = StagedFrame::rasterize(shaped, stats, Obstacles::default(), settings, None);
         let staged = staged.map_err(|_| "not in memory")?.smooth(settings, &mut |_| {})?;
-        let band = staged.band().ok_or("not in memory")?.clone();
-        Ok((staged, band))
+        let timed = staged.timed(frame.moving_particles(), settings).ok_or("not in memory")?;
+        Ok((staged, timed))
     };
     let Around { own: mut staged, timed, others } = kept.around(set, frame, settings.temporal, make)?;
     staged.average(&timed, &others, settings);
@@ -201,7 +199,8 @@ fn averaged_meshes(
     let make = |frame: &Frame| {
         let mesh = mesh(frame)?;
         let band = band_of(&mesh, voxel_size, HALF_WIDTH);
-        Ok(((mesh, band.clone()), band))
+        let timed = TimedFrame::new(Arc::new(band.clone()), frame.moving_particles(), set.spacing);
+        Ok(((mesh, band), Arc::new(timed)))
     };
     let Around { own: (own, mut averaged), timed, others } = kept.around(set, frame, frames, make)?;
     let config =

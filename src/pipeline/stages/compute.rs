@@ -23,7 +23,7 @@ use crate::pipeline::warning::Warning;
 use crate::surface::flicker::MovingParticles;
 use crate::surface::options::Settings;
 use crate::surface::reconstruction::FrameSurface;
-use crate::surface::temporal::{OtherFrame, TimedFrame};
+use crate::surface::temporal::{OtherFrame, TimedFrame, with_particles};
 
 use super::{
     FinishedFrame, InputInfo, Outlet, Passed, ReadContent, StageContext, Stages, WorkItem, outcome_of,
@@ -119,7 +119,7 @@ pub(super) fn smooth_stage(
     content.try_map(|Rasterized { staged, moving }| {
         let work = || {
             let staged = method::smooth(staged, &frame.settings, advanced)?;
-            let timed = moving.and_then(|moving| timed(&staged, moving, &frame.settings));
+            let timed = moving.and_then(|moving| staged.timed(moving, &frame.settings));
             Ok(Smoothed { staged, timed })
         };
         let smoothed = shared.measured(Stage::Smooth, frame, info, work)?;
@@ -150,7 +150,7 @@ pub(super) fn contour_stage(
         let work = || {
             if let Some(timed) = &timed {
                 let others = others(shared, frame, &mut around, &mut warnings);
-                other_count = others.len();
+                other_count = with_particles(&others).count();
                 staged.average(timed, &others, &frame.settings);
             }
             method::contour(staged, &frame.settings, &frame.outputs)
@@ -184,7 +184,6 @@ fn others(
         let made =
             kept.map_or_else(|| FrameError::catch(&content.path, Stage::Rasterize, compute).flatten(), Ok);
         match made {
-            Ok(other) if other.is_empty() => {}
             Ok(other) => others.push(OtherFrame { frame: other, steps: found.frame.steps }),
             Err(error) => {
                 warnings.push(not_averaged(&error));
@@ -234,16 +233,10 @@ fn smoothed_alone(
     if smoothed.obstacles != content.obstacles {
         return Err(failed(Cause::Changed));
     }
-    let timed = timed(&smoothed.frame, moving, settings);
+    let timed = smoothed.frame.timed(moving, settings);
     let timed = timed.ok_or_else(|| failed(Cause::Missing("it has no level set in memory".to_owned())))?;
     shared.keep(content.clone(), settings, &timed);
     Ok(timed)
-}
-
-/// What others need of a frame to be averaged with it.
-fn timed(staged: &FrameInStages, moving: MovingParticles, settings: &Settings) -> Option<Arc<TimedFrame>> {
-    let band = Arc::new(staged.band()?.clone());
-    Some(Arc::new(TimedFrame::new(band, moving, settings.spacing)))
 }
 
 impl StageContext<'_> {

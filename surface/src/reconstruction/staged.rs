@@ -27,6 +27,7 @@ use crate::contour;
 use crate::grid::LEAF_EDGE;
 use crate::level_set::{Bounds, NarrowBand};
 use crate::mesh::{Mesh, PositionRounding};
+use crate::motion::MovingParticles;
 use crate::obstacle::{ContactStats, Obstacles};
 use crate::options::Settings;
 use crate::particles::{AnySource, ParticleSource, Unread, erased};
@@ -204,8 +205,16 @@ impl<S: ParticleSource> StagedFrame<S> {
         }
     }
 
+    /// After the second stage: what other frames need of this one to be averaged with it. `moving` are its particles
+    /// as given. `None` if it has no [band](Self::band).
+    pub fn timed(&self, moving: MovingParticles, settings: &Settings) -> Option<Arc<TimedFrame>> {
+        let band = Arc::new(self.band()?.clone());
+        Some(Arc::new(TimedFrame::new(band, moving, settings.spacing)))
+    }
+
     /// After the second stage: averages the level set with those of other frames of the sequence. `own` is this
-    /// frame as these others see it. Has no effect on a frame in tiles or a level set.
+    /// frame as these others see it. Has no effect on a frame in tiles or a level set. If nothing changes, the level
+    /// set is that of the frame alone.
     pub fn average(&mut self, own: &TimedFrame, others: &[OtherFrame], settings: &Settings) {
         let StagedFields::InMemory(fields, _) = &mut self.fields else { return };
         let config = TemporalConfig {
@@ -215,8 +224,16 @@ impl<S: ParticleSource> StagedFrame<S> {
             lattice: lattice(settings),
         };
         let report = temporal::average(&mut fields.band, own, others, &config);
+        let smoothing = smooth_config(settings, &self.obstacles);
+        if report.change > 0.0 {
+            smooth::restore(&mut fields.band, &fields.bounds, &smoothing);
+        }
         if report.frame_count > 0 {
-            smooth::restore(&mut fields.band, &fields.bounds, &smooth_config(settings, &self.obstacles));
+            let reach_voxels = &mut self.report.smoothing.reach_voxels;
+            let reaches = reach_voxels.zip(smooth::restore_reach(&smoothing));
+            *reach_voxels = reaches.map(|(smoothed, restored)| {
+                config.reach_voxels(smoothed, fields.band.half_width).saturating_add(restored)
+            });
         }
         self.report.temporal = report;
     }

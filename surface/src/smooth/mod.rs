@@ -112,8 +112,8 @@ pub struct SmoothReport {
     /// passes.
     pub voxel_update_count: u64,
     /// How far a change of φ_0 or the bounds can propagate, in voxels; in the report of a frame, how far a
-    /// change of a particle can. `None` for `Implicit`, whose dot
-    /// products couple all voxels, and for `Adaptive`, whose step size depends on the fastest voxel.
+    /// change of one of its particles can. `None` for `Implicit`, whose dot products couple all voxels, and for
+    /// `Adaptive`, whose step size depends on the fastest voxel.
     pub reach_voxels: Option<u32>,
     /// How the conjugate gradients converged; `None` unless the integrator is `Implicit`.
     pub convergence: Option<Convergence>,
@@ -142,12 +142,20 @@ pub fn smooth(
 
 /// Restores the distances and bounds of a smoothed level set that was changed since.
 pub fn restore(band: &mut NarrowBand, bounds: &Bounds, config: &SmoothConfig) {
-    let without_steps = SmoothConfig {
+    smooth(band, bounds, &without_steps(config), &mut |_| {});
+}
+
+/// How far [`restore`] can propagate a change, in voxels; see [`SmoothReport::reach_voxels`].
+pub fn restore_reach(config: &SmoothConfig) -> Option<u32> {
+    SmoothReport::new(&without_steps(config)).reach_voxels
+}
+
+fn without_steps(config: &SmoothConfig) -> SmoothConfig {
+    SmoothConfig {
         redistances_first: false,
         smoothing: SmoothSteps { laplacian_steps: 0, steps: 0, ..config.smoothing },
         ..*config
-    };
-    smooth(band, bounds, &without_steps, &mut |_| {});
+    }
 }
 
 /// Moves values away from zero, unless the bounds require values that small.

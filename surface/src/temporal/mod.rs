@@ -14,16 +14,19 @@
 //!
 //! Here w is 1 / (2 N + 1), u_k the mean displacement of the particles around x to the frame k steps away, and
 //! c_k the confidence. The confidence falls to zero where particles appear or vanish, where the
-//! displacements of neighbouring particles scatter, and where the level sets disagree by about a spacing: there
+//! displacements of neighbouring particles scatter, and where the level sets disagree by up to two spacings: there
 //! the topology changes, ids were used again, or velocities are much too large.
 //!
-//! A voxel comes inside only beside one that is inside, so that no piece appears where the frame has no fluid.
+//! A voxel comes inside only beside one that was inside, so that nearly no piece appears where the frame has no
+//! fluid: one remains only if the voxels beside it leave at the same time, or if restoring distances parts it.
+//! `docs/results.md` has the measured number: none.
 //!
 //! The caller restores distances afterwards, and clamps φ to the bounds of the frame. So the guarantees are
 //! those of a frame alone.
 //!
-//! Invariants: a voxel depends on particles within two spacings, or four voxels more, of it, and on
-//! φ_k within two voxels of where they carry it. The result does not depend on the number of threads. Without
+//! Invariants: a voxel depends on its own particles within 2 d, or, if there are none, on the nearest within
+//! 2 d + 4 h, of its nodes or of the points of the surface nearest to them (`TemporalConfig::reach_voxels`); and
+//! on φ_k within two voxels of where they carry it. The result does not depend on the number of threads. Without
 //! other frames, nothing changes.
 
 mod moves;
@@ -76,11 +79,6 @@ impl TimedFrame {
         TimedFrame { band, particles: TrackedParticles::new(particles, RADII * spacing) }
     }
 
-    /// Whether it has no particles, so that nothing can be averaged with it.
-    pub fn is_empty(&self) -> bool {
-        self.particles.positions().is_empty()
-    }
-
     /// Memory used, in bytes: approximate for the particles, which are sorted and have ids or velocities.
     pub fn size_bytes(&self) -> u64 {
         const LEAF_BYTES: usize = size_of::<Leaf>() + 80;
@@ -97,6 +95,11 @@ pub struct OtherFrame {
     pub frame: Arc<TimedFrame>,
     /// By how many frames it is later; negative if it is earlier.
     pub steps: i32,
+}
+
+/// Those of the frames that have particles: with the rest, nothing can be averaged.
+pub fn with_particles(others: &[OtherFrame]) -> impl Iterator<Item = &OtherFrame> {
+    others.iter().filter(|other| !other.frame.particles.positions().is_empty())
 }
 
 /// What averaging needs besides the frames.
@@ -121,6 +124,20 @@ impl TemporalConfig {
     fn spacing_voxels(&self) -> f32 {
         (self.spacing / self.lattice.voxel_size) as f32
     }
+
+    /// How far a change of one particle of the frame can change its averaged level set, in voxels, if it can change
+    /// the smoothed one, in a band of this half width, up to `smoothed` voxels away. It has an effect farther away only
+    /// if another particle has its id, or if it decides whether ids are used, or whether anything changes at all.
+    ///
+    /// ```text
+    ///   voxel ── 1 ── node ── half width ── point of the surface ── 2 d, or 2 d + 4 h ── particle
+    ///              └── 1 ── φ, which gives the slope and says whether the node has a value
+    /// ```
+    pub(crate) fn reach_voxels(&self, smoothed: u32, half_width: f32) -> u32 {
+        let to_point = 1.0 + half_width;
+        let to_particle = RADII as f32 * self.spacing_voxels() + HALF_WIDTH;
+        smoothed.saturating_add(2).max((to_point + to_particle).ceil() as u32)
+    }
 }
 
 /// What averaging did.
@@ -140,8 +157,8 @@ pub struct TemporalReport {
     pub change: f64,
 }
 
-/// Averages the level set of `frame` with those of the others. Distances and bounds have to be restored
-/// afterwards.
+/// Averages the level set of `frame` with those of the others. If it changes, distances and bounds have to be
+/// restored afterwards.
 pub fn average(
     band: &mut NarrowBand,
     particles: &TimedFrame,
@@ -150,7 +167,7 @@ pub fn average(
 ) -> TemporalReport {
     let half_width = HALF_WIDTH.min(band.half_width - 1.0);
     let followed =
-        others.iter().filter_map(|other| Some((other, moves(&particles.particles, other, config)?)));
+        with_particles(others).filter_map(|other| Some((other, moves(&particles.particles, other, config)?)));
     let (followed, moves): (Vec<&OtherFrame>, Vec<Attribute>) = followed.unzip();
     if followed.is_empty() {
         return TemporalReport::default();
@@ -264,7 +281,7 @@ fn average_leaf(
 }
 
 /// The voxels that are outside, as are all their face neighbours. If one of them came inside, it might be a piece of its
-/// own where the frame has no fluid.
+/// own where the frame has no fluid. Any other one hardly can: an inside voxel beside it would have to leave.
 fn apart_from_fluid(band: &NarrowBand) -> Vec<LeafMask> {
     let outside: Vec<LeafMask> = negative_masks(&band.phi).iter().map(LeafMask::complement).collect();
     let neighbors = band.topology.neighbors().par_iter().zip(&outside).halved();

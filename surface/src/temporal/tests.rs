@@ -7,9 +7,10 @@ use glam::{DQuat, DVec3};
 use super::*;
 use crate::grid::{FACE_STEPS, offset_in_leaf};
 use crate::mesh::PositionRounding;
-use crate::obstacle::Obstacles;
-use crate::options::{MethodOptions, Settings};
-use crate::particles::{OwnedPositions, ParticleCloud};
+use crate::obstacle::{MeshSdf, Obstacle, ObstacleSdf, Obstacles};
+use crate::options::{AttributeSelection, MethodOptions, Settings};
+use crate::particles::{AttributeValues, OwnedPositions, ParticleCloud, Role};
+use crate::reconstruct::{Reconstructor, RequestedParts};
 use crate::reconstruction::{FrameSurface, ShapedSource, StagedFrame, shape_particles};
 
 const SPACING: f64 = 0.1;
@@ -47,26 +48,41 @@ fn settings() -> Settings {
 }
 
 fn smoothed(given: &Given) -> (StagedFrame<ShapedSource<ParticleCloud>>, Arc<TimedFrame>) {
-    let settings = settings();
-    let (shaped, stats) = shape_particles(ParticleCloud::from(given.moving().positions), &settings);
-    let staged =
-        StagedFrame::rasterize(shaped, stats, Obstacles::default(), &settings, None).expect("in memory");
-    let staged = staged.smooth(&settings, &mut |_| {}).expect("in memory");
-    let band = Arc::new(staged.band().expect("in memory").clone());
-    let timed = TimedFrame::new(band, given.moving(), SPACING);
-    (staged, Arc::new(timed))
+    smoothed_with(&settings(), given, Obstacles::default())
+}
+
+fn smoothed_with(
+    settings: &Settings,
+    given: &Given,
+    obstacles: Obstacles,
+) -> (StagedFrame<ShapedSource<ParticleCloud>>, Arc<TimedFrame>) {
+    let (shaped, stats) = shape_particles(ParticleCloud::from(given.moving().positions), settings);
+    let staged = StagedFrame::rasterize(shaped, stats, obstacles, settings, None).expect("in memory");
+    let staged = staged.smooth(settings, &mut |_| {}).expect("in memory");
+    let timed = staged.timed(given.moving(), settings).expect("in memory");
+    (staged, timed)
 }
 
 /// The surface of the middle frame, averaged with those of the others, which are one step before and after it.
 fn averaged(middle: &Given, others: [Option<&Given>; 2]) -> FrameSurface {
-    let (mut staged, timed) = smoothed(middle);
-    let others: Vec<OtherFrame> = [-1, 1]
-        .into_iter()
-        .zip(others)
-        .filter_map(|(steps, given)| Some(OtherFrame { frame: smoothed(given?).1, steps }))
-        .collect();
-    staged.average(&timed, &others, &settings());
-    let Ok((surface, _)) = staged.contour(&settings(), PositionRounding::Local) else { panic!("in memory") };
+    let beside_none = |given| (given, Obstacles::default());
+    averaged_with(&settings(), beside_none(middle), others.map(|given| given.map(beside_none)))
+}
+
+/// Like [`averaged`], with obstacles in each frame.
+fn averaged_with(
+    settings: &Settings,
+    (middle, obstacles): (&Given, Obstacles),
+    others: [Option<(&Given, Obstacles)>; 2],
+) -> FrameSurface {
+    let (mut staged, timed) = smoothed_with(settings, middle, obstacles);
+    let other = |(steps, other): (i32, Option<(&Given, Obstacles)>)| {
+        let (given, obstacles) = other?;
+        Some(OtherFrame { frame: smoothed_with(settings, given, obstacles).1, steps })
+    };
+    let others: Vec<OtherFrame> = [-1, 1].into_iter().zip(others).filter_map(other).collect();
+    staged.average(&timed, &others, settings);
+    let Ok((surface, _)) = staged.contour(settings, PositionRounding::Local) else { panic!("in memory") };
     assert!(surface.report.certificate.holds(), "{:?}", surface.report.certificate);
     surface
 }
@@ -129,36 +145,51 @@ fn noise_is_averaged_along_velocities() {
     assert!(with < 0.75 * without, "{with} instead of {without}");
 }
 
-/// Each of the 2 N + 1 frames has the same weight, and the weight of a missing frame stays with the frame itself.
-#[test]
-fn frames_have_equal_weights() {
-    const SHIFT: f32 = 0.25;
+/// How φ changes near the surface of a block that is averaged with itself, these numbers of frames later, where the
+/// level set is higher by `shift` voxels.
+fn changes(shift: f32, frames: u32, steps: &[i32]) -> Vec<f32> {
     let points = block(8, 0.0, 1);
     let given = Given { ids: ids(points.len()), points, velocities: None };
     let (_, timed) = smoothed(&given);
     let mut shifted = NarrowBand::clone(&timed.band);
-    shifted.phi.leaves.iter_mut().flat_map(|leaf| &mut leaf.values).for_each(|phi| *phi += SHIFT);
+    shifted.phi.leaves.iter_mut().flat_map(|leaf| &mut leaf.values).for_each(|phi| *phi += shift);
     let shifted = Arc::new(TimedFrame::new(Arc::new(shifted), given.moving(), SPACING));
     let lattice = Lattice { voxel_size: settings().voxel_size };
+    let other = |&steps: &i32| OtherFrame { frame: Arc::clone(&shifted), steps };
+    let others: Vec<OtherFrame> = steps.iter().map(other).collect();
+    let config = TemporalConfig { frames, seconds: None, spacing: SPACING, lattice };
+    let mut band = NarrowBand::clone(&timed.band);
+    average(&mut band, &timed, &others, &config);
+    let values = band.phi.leaves.iter().zip(&timed.band.phi.leaves);
+    let values = values.flat_map(|(after, before)| after.values.iter().zip(&before.values));
+    values.filter(|(_, before)| before.abs() < 1.0).map(|(after, before)| after - before).collect()
+}
+
+/// Each of the 2 N + 1 frames has the same weight, and the weight of a missing frame stays with the frame itself.
+#[test]
+fn frames_have_equal_weights() {
+    const SHIFT: f32 = 0.25;
     for frames in 1..=3 {
         for steps in [vec![1], (-frames..=frames).filter(|step| *step != 0).collect()] {
-            let other = |&steps: &i32| OtherFrame { frame: Arc::clone(&shifted), steps };
-            let others: Vec<OtherFrame> = steps.iter().map(other).collect();
-            let config = TemporalConfig { frames: frames as u32, seconds: None, spacing: SPACING, lattice };
-            let mut band = NarrowBand::clone(&timed.band);
-            average(&mut band, &timed, &others, &config);
             let expected = SHIFT * steps.len() as f32 / (2 * frames + 1) as f32;
-            let values = band.phi.leaves.iter().zip(&timed.band.phi.leaves);
-            let near = values
-                .flat_map(|(after, before)| after.values.iter().zip(&before.values))
-                .filter(|(_, before)| before.abs() < 1.0);
-            let mut count = 0;
-            for (after, before) in near {
-                assert!((after - before - expected).abs() < 1e-4, "{steps:?}: {}", after - before);
-                count += 1;
-            }
-            assert!(count > 1000, "{count}");
+            let found = changes(SHIFT, frames as u32, &steps);
+            assert!(found.iter().all(|change| (change - expected).abs() < 1e-4), "{steps:?}: {found:?}");
+            assert!(found.len() > 1000, "{}", found.len());
         }
+    }
+}
+
+/// A level set that differs by a spacing has its full weight, and one that differs by two has none.
+#[test]
+fn level_sets_that_disagree_have_no_weight() {
+    let spacing_voxels = (SPACING / settings().voxel_size) as f32;
+    for (spacings, weight) in [(1.0, 1.0), (1.5, 0.5), (2.0, 0.0), (-2.0, 0.0)] {
+        let shift = spacings * spacing_voxels;
+        let found = changes(shift, 1, &[1]);
+        assert!(
+            found.iter().all(|change| (change - weight * shift / 3.0).abs() < 1e-3),
+            "{spacings}: {found:?}"
+        );
     }
 }
 
@@ -280,6 +311,133 @@ fn no_other_frames_change_nothing() {
     // Nor do frames whose particles have neither ids nor velocities.
     let unknown = Given { points: given.points.clone(), ..Given::default() };
     assert!(averaged(&unknown, [Some(&unknown), None]).mesh == surface.mesh);
+    // Nor do those that have none of the particles.
+    let all_new = Given { ids: Some((1000..1216).collect()), ..given.clone() };
+    let found = averaged(&given, [Some(&all_new), Some(&all_new)]);
+    assert_eq!((found.report.temporal.frame_count, found.report.temporal.change), (2, 0.0));
+    assert!(found.mesh == surface.mesh && found.band.phi == surface.band.phi);
+}
+
+/// A frame without particles does not lower the confidence.
+#[test]
+fn empty_frames_do_not_count() {
+    let given = Given { points: block(6, 0.2, 1), ids: ids(216), velocities: None };
+    let empty = Given { ids: ids(0), ..Given::default() };
+    let temporal = averaged(&given, [Some(&given), Some(&empty)]).report.temporal;
+    assert_eq!(temporal.frame_count, 1);
+    assert!(temporal.confidence > 0.95, "{temporal:?}");
+}
+
+/// A change of one particle changes nothing at a larger distance than the report states. Here the displacement of
+/// the particle counts at a larger distance than its surface does.
+#[test]
+fn far_changes_keep_the_averaged_surface() {
+    const FAR: f64 = 150.0;
+    let options = MethodOptions {
+        spacing: Some(100.0),
+        radius_min: Some(1.8.into()),
+        radius_init: Some(2.6.into()),
+        laplacian_steps: Some(0),
+        steps: Some(0),
+        temporal: Some(1),
+        ..MethodOptions::default()
+    };
+    let settings = Settings::paper(1.0, &options).expect("sound");
+    let ball = |x: f64| block(4, 0.0, 1).into_iter().map(move |at| at * (2.0 / SPACING) + x * DVec3::X);
+    let frame = |step: f64, has_far: bool| {
+        let flow = step * DVec3::new(0.3, 0.2, -0.4);
+        let far = DVec3::new(FAR, 30.0 * step, 0.0);
+        let balls = ball(0.0).chain(ball(FAR + 250.0)).map(|at| at + flow);
+        let points: Vec<DVec3> = balls.chain(has_far.then_some(far)).collect();
+        Given { ids: ids(points.len()), points, velocities: None }
+    };
+    let surface = |has_far| {
+        let [before, middle, after] = [-1.0, 0.0, 1.0].map(|step| frame(step, has_far));
+        let others = [&before, &after].map(|given| Some((given, Obstacles::default())));
+        averaged_with(&settings, (&middle, Obstacles::default()), others)
+    };
+    let (one, other) = (surface(false), surface(true));
+    assert!(one.report.temporal.confidence > 0.95, "{:?}", one.report.temporal);
+    let reach = other.report.smoothing.reach_voxels.expect("local");
+    let mut farthest = 0;
+    for (origin, values) in one.band.leaves() {
+        let (leaf, _) = other.band.topology.find_voxel(origin).expect("the same balls");
+        for (offset, (phi, with)) in values.iter().zip(&other.band.phi.leaves[leaf].values).enumerate() {
+            let distance = (origin + voxel_in_leaf(offset)).x.abs_diff(FAR as i32);
+            if phi.to_bits() != with.to_bits() {
+                farthest = farthest.max(distance);
+            }
+        }
+    }
+    let alone = averaged_with(&settings, (&frame(0.0, true), Obstacles::default()), [None, None]);
+    let reach_alone = alone.report.smoothing.reach_voxels.expect("local");
+    assert!(reach_alone < farthest && farthest <= reach, "{reach_alone}, {farthest}, {reach}");
+}
+
+/// The obstacle moves from frame to frame, and the fluid stays outside that of its own frame.
+#[test]
+fn fluid_stays_outside_the_obstacle_of_its_frame() {
+    const RADIUS: f64 = 4.0 * SPACING;
+    let center = |step: f64| SPACING * DVec3::new(4.5, 4.5, -3.5 + 0.5 * step);
+    let octahedron = |step: f64| {
+        let corners = [DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z, -DVec3::Z];
+        let positions = corners.map(|corner| (center(step) + RADIUS * corner).to_array());
+        let faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
+        let solid = ObstacleSdf::Mesh(MeshSdf::new(&positions, &faces));
+        Obstacles { members: vec![Arc::new(Obstacle::new(solid, 1 << 24))] }
+    };
+    let given = Given { points: block(10, 0.2, 1), ids: ids(1000), velocities: None };
+    let others = [-1.0, 1.0].map(|step| Some((&given, octahedron(step))));
+    let surface = averaged_with(&settings(), (&given, octahedron(0.0)), others);
+    assert!(surface.report.temporal.change > 0.01, "{:?}", surface.report.temporal);
+    let depth_voxels = |position: &Vec3| {
+        let from_center = surface.mesh.origin + position.as_dvec3() - center(0.0);
+        (RADIUS - from_center.abs().element_sum()) / 3f64.sqrt() / settings().voxel_size
+    };
+    let depths: Vec<f64> = surface.mesh.positions.iter().map(depth_voxels).collect();
+    let deepest = depths.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let touching = depths.iter().filter(|depth| depth.abs() < 0.2).count();
+    assert!(deepest < 0.2 && touching > 50, "{deepest}, {touching}");
+    assert!((surface.report.depth.deepest_voxels - deepest.max(0.0)).abs() < 0.05, "{deepest}");
+}
+
+/// Attributes are not averaged: velocities at the vertices are those of the frame's own particles.
+#[test]
+fn velocities_stay_those_of_the_frame() {
+    let points = block(6, 0.2, 1);
+    let options = crate::Options {
+        spacing: Some(SPACING),
+        temporal: Some(1),
+        attributes: Some(AttributeSelection::Named(vec!["v".into()])),
+        ..crate::Options::default()
+    };
+    let wanted = RequestedParts {
+        rounding: PositionRounding::Local,
+        band_half_width_voxels: None,
+        allows_empty: false,
+    };
+    let mut reconstructor = Reconstructor::new(options);
+    let mut smoothed = |speed: f32| {
+        let velocities = (0..points.len()).flat_map(|index| [speed + 0.004 * index as f32, 0.0, 0.0]);
+        let attribute =
+            |name: &str, role, arity, values| Attribute { name: name.to_owned(), role, arity, values };
+        let ids = AttributeValues::Integers(ids(points.len()).expect("some"));
+        let attributes = vec![
+            attribute("id", Role::Id, 1, ids),
+            attribute("v", Role::Velocity, 3, AttributeValues::Numbers(velocities.collect())),
+        ];
+        let positions = OwnedPositions::F64(points.iter().map(DVec3::to_array).collect());
+        reconstructor.smooth_parts(positions, attributes, wanted).expect("valid")
+    };
+    let (middle, after) = (smoothed(1.0), smoothed(5.0));
+    let others = [OtherFrame { frame: after.timed().expect("in memory"), steps: 1 }];
+    let (surface, _) = reconstructor.contour_parts(middle, &others).expect("valid");
+    assert_eq!(surface.report.temporal.frame_count, 1);
+    let [Attribute { values: AttributeValues::Numbers(values), .. }] = &*surface.attributes.vertices else {
+        panic!("{:?}", surface.attributes.vertices)
+    };
+    assert_eq!(values.len(), 3 * surface.mesh.positions.len());
+    assert!(values.chunks(3).all(|v| (1.0..=1.864).contains(&v[0]) && v[1..] == [0.0; 2]));
 }
 
 /// However the other frames differ, a voxel comes inside only beside one that was inside.
@@ -317,23 +475,19 @@ fn fluid_appears_only_beside_fluid() {
     }
 }
 
-/// A drop that exists in the middle frame only keeps its volume, and one that exists in the others only leaves
-/// no ghost.
+/// A drop that exists in the middle frame only keeps its volume, and so does one that is deep in the body in the others.
+/// A drop that exists in the others only leaves no ghost.
 #[test]
-fn drops_that_appear_and_vanish_stay_what_they_are() {
-    let block = block(6, 0.0, 1);
-    let with_drops = |first: i64, drops: &[DVec3]| {
-        let points = [&block, drops].concat();
+fn drops_that_appear_vanish_or_merge_stay_what_they_are() {
+    let body = block(10, 0.0, 1);
+    let with_drops = |first: i64, drops: Vec<DVec3>| {
         let of_drops = (0..).take(drops.len()).map(|drop| first + drop);
-        let ids = ids(block.len()).into_iter().flatten().chain(of_drops).collect();
-        Given { points, ids: Some(ids), velocities: None }
+        let ids = ids(body.len()).into_iter().flatten().chain(of_drops).collect();
+        Given { points: [&body[..], &drops].concat(), ids: Some(ids), velocities: None }
     };
-    let (own, other) = (DVec3::new(-0.8, 0.2, 0.2), DVec3::new(0.2, 0.2, 1.3));
-    let pair = |at: DVec3| [at, at + DVec3::new(0.09, 0.0, 0.0)];
-    let middle = with_drops(1000, &pair(own));
-    let beside = with_drops(2000, &pair(other));
-    let [without, with] = [alone(&middle), averaged(&middle, [Some(&beside), Some(&beside)])];
-    assert_eq!(with.report.mesh.component_count, 2);
+    let pair = |at: DVec3| vec![at, at + DVec3::new(0.09, 0.0, 0.0)];
+    let ball = |at: DVec3| block(3, 0.0, 1).into_iter().map(|point| at + point).collect();
+    let own = DVec3::new(-0.8, 0.2, 0.2);
     let drop_volume = |surface: &FrameSurface| {
         let lattice = settings().voxel_size;
         let voxels = surface.band.leaves().flat_map(|(origin, values)| {
@@ -341,8 +495,16 @@ fn drops_that_appear_and_vanish_stay_what_they_are() {
         });
         voxels.filter(|(voxel, phi)| *phi < 0.0 && lattice * f64::from(voxel.x) < -0.4).count()
     };
-    let [before, after] = [drop_volume(&without), drop_volume(&with)];
-    assert!(before > 50 && before.abs_diff(after) * 50 <= before, "{before}, then {after}");
+    for (middle, beside) in [
+        (with_drops(1000, pair(own)), with_drops(2000, pair(DVec3::new(0.2, 0.2, 1.6)))),
+        // The lower side of the ball is so deep that the level sets disagree, and not so deep that they end.
+        (with_drops(1000, ball(own)), with_drops(1000, ball(DVec3::new(0.35, 0.35, 0.27)))),
+    ] {
+        let [without, with] = [alone(&middle), averaged(&middle, [Some(&beside), Some(&beside)])];
+        assert_eq!(with.report.mesh.component_count, 2);
+        let [before, after] = [drop_volume(&without), drop_volume(&with)];
+        assert!(before > 50 && before.abs_diff(after) * 50 <= before, "{before}, then {after}");
+    }
 }
 
 /// Ids that were dealt anew, and velocities in another unit, do not spoil the surface.
