@@ -89,9 +89,10 @@ impl TrackedParticles {
         &self.particles.positions
     }
 
-    /// Whether the particles of this frame can be followed this way: by ids, if at least half of them have an id that
-    /// no other has; by velocities, if they have velocities. True without particles. `flicker` chooses for a whole
-    /// sequence by its first frame with particles, and averages choose for each pair of frames.
+    /// Whether the particles of this frame can be followed this way: by ids, if at least half of them have an
+    /// id that no other has; by velocities, if they have velocities. True without particles. `flicker`
+    /// chooses for a whole sequence by its first frame with particles, and averages choose for each pair of
+    /// frames.
     pub(crate) fn has(&self, carrier: Carrier) -> bool {
         let count = self.particles.positions.len();
         match carrier {

@@ -245,8 +245,8 @@ impl Scoring<'_> {
     }
 }
 
-/// The change of the volume from a frame to the next, relative to the volume; `None` if either was not read, or encloses
-/// nothing because it is open or turned inside out.
+/// The change of the volume from a frame to the next, relative to the volume; `None` if either was not read,
+/// or encloses nothing because it is open or turned inside out.
 fn volume_step(enclosed: &BTreeMap<i64, Enclosed>, number: i64, step: i64) -> Option<f64> {
     let [volume, next] =
         [enclosed.get(&number)?, enclosed.get(&number.checked_add(step)?)?].map(|at| at.volume);

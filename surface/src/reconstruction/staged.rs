@@ -205,16 +205,16 @@ impl<S: ParticleSource> StagedFrame<S> {
         }
     }
 
-    /// After the second stage: what other frames need of this one to be averaged with it. `moving` are its particles
-    /// as given. `None` if it has no [band](Self::band).
+    /// After the second stage: what other frames need of this one to be averaged with it. `moving` are its
+    /// particles as given. `None` if it has no [band](Self::band).
     pub fn timed(&self, moving: MovingParticles, settings: &Settings) -> Option<Arc<TimedFrame>> {
         let band = Arc::new(self.band()?.clone());
         Some(Arc::new(TimedFrame::new(band, moving, settings.spacing)))
     }
 
-    /// After the second stage: averages the level set with those of other frames of the sequence. `own` is this
-    /// frame as these others see it. Has no effect on a frame in tiles or a level set. If nothing changes, the level
-    /// set is that of the frame alone.
+    /// After the second stage: averages the level set with those of other frames of the sequence. `own` is
+    /// this frame as these others see it. Has no effect on a frame in tiles or a level set. If nothing
+    /// changes, the level set is that of the frame alone.
     pub fn average(&mut self, own: &TimedFrame, others: &[OtherFrame], settings: &Settings) {
         let StagedFields::InMemory(fields, _) = &mut self.fields else { return };
         let config = TemporalConfig {

@@ -112,8 +112,8 @@ pub struct SmoothReport {
     /// passes.
     pub voxel_update_count: u64,
     /// How far a change of φ_0 or the bounds can propagate, in voxels; in the report of a frame, how far a
-    /// change of one of its particles can. `None` for `Implicit`, whose dot products couple all voxels, and for
-    /// `Adaptive`, whose step size depends on the fastest voxel.
+    /// change of one of its particles can. `None` for `Implicit`, whose dot products couple all voxels, and
+    /// for `Adaptive`, whose step size depends on the fastest voxel.
     pub reach_voxels: Option<u32>,
     /// How the conjugate gradients converged; `None` unless the integrator is `Implicit`.
     pub convergence: Option<Convergence>,

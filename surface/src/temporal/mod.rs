@@ -12,22 +12,22 @@
 //!
 //! φ(x) += w Σ c_k(x) (φ_k(x + u_k(x)) − φ(x))
 //!
-//! Here w is 1 / (2 N + 1), u_k the mean displacement of the particles around x to the frame k steps away, and
-//! c_k the confidence. The confidence falls to zero where particles appear or vanish, where the
-//! displacements of neighbouring particles scatter, and where the level sets disagree by up to two spacings: there
-//! the topology changes, ids were used again, or velocities are much too large.
+//! Here w is 1 / (2 N + 1), u_k the mean displacement of the particles around x to the frame k steps away,
+//! and c_k the confidence. The confidence falls to zero where particles appear or vanish, where the
+//! displacements of neighbouring particles scatter, and where the level sets disagree by up to two spacings:
+//! there the topology changes, ids were used again, or velocities are much too large.
 //!
-//! A voxel comes inside only beside one that was inside, so that nearly no piece appears where the frame has no
-//! fluid: one remains only if the voxels beside it leave at the same time, or if restoring distances parts it.
-//! `docs/results.md` has the measured number: none.
+//! A voxel comes inside only beside one that was inside, so that nearly no piece appears where the frame has
+//! no fluid: one remains only if the voxels beside it leave at the same time, or if restoring distances parts
+//! it. `docs/results.md` has the measured number: none.
 //!
 //! The caller restores distances afterwards, and clamps φ to the bounds of the frame. So the guarantees are
 //! those of a frame alone.
 //!
 //! Invariants: a voxel depends on its own particles within 2 d, or, if there are none, on the nearest within
-//! 2 d + 4 h, of its nodes or of the points of the surface nearest to them (`TemporalConfig::reach_voxels`); and
-//! on φ_k within two voxels of where they carry it. The result does not depend on the number of threads. Without
-//! other frames, nothing changes.
+//! 2 d + 4 h, of its nodes or of the points of the surface nearest to them (`TemporalConfig::reach_voxels`);
+//! and on φ_k within two voxels of where they carry it. The result does not depend on the number of threads.
+//! Without other frames, nothing changes.
 
 mod moves;
 mod sample;
@@ -125,9 +125,10 @@ impl TemporalConfig {
         (self.spacing / self.lattice.voxel_size) as f32
     }
 
-    /// How far a change of one particle of the frame can change its averaged level set, in voxels, if it can change
-    /// the smoothed one, in a band of this half width, up to `smoothed` voxels away. It has an effect farther away only
-    /// if another particle has its id, or if it decides whether ids are used, or whether anything changes at all.
+    /// How far a change of one particle of the frame can change its averaged level set, in voxels, if it can
+    /// change the smoothed one, in a band of this half width, up to `smoothed` voxels away. It has an effect
+    /// farther away only if another particle has its id, or if it decides whether ids are used, or whether
+    /// anything changes at all.
     ///
     /// ```text
     ///   voxel ── 1 ── node ── half width ── point of the surface ── 2 d, or 2 d + 4 h ── particle

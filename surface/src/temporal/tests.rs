@@ -145,8 +145,8 @@ fn noise_is_averaged_along_velocities() {
     assert!(with < 0.75 * without, "{with} instead of {without}");
 }
 
-/// How φ changes near the surface of a block that is averaged with itself, these numbers of frames later, where the
-/// level set is higher by `shift` voxels.
+/// How φ changes near the surface of a block that is averaged with itself, these numbers of frames later,
+/// where the level set is higher by `shift` voxels.
 fn changes(shift: f32, frames: u32, steps: &[i32]) -> Vec<f32> {
     let points = block(8, 0.0, 1);
     let given = Given { ids: ids(points.len()), points, velocities: None };
@@ -165,7 +165,8 @@ fn changes(shift: f32, frames: u32, steps: &[i32]) -> Vec<f32> {
     values.filter(|(_, before)| before.abs() < 1.0).map(|(after, before)| after - before).collect()
 }
 
-/// Each of the 2 N + 1 frames has the same weight, and the weight of a missing frame stays with the frame itself.
+/// Each of the 2 N + 1 frames has the same weight, and the weight of a missing frame stays with the frame
+/// itself.
 #[test]
 fn frames_have_equal_weights() {
     const SHIFT: f32 = 0.25;
@@ -328,8 +329,8 @@ fn empty_frames_do_not_count() {
     assert!(temporal.confidence > 0.95, "{temporal:?}");
 }
 
-/// A change of one particle changes nothing at a larger distance than the report states. Here the displacement of
-/// the particle counts at a larger distance than its surface does.
+/// A change of one particle changes nothing at a larger distance than the report states. Here the
+/// displacement of the particle counts at a larger distance than its surface does.
 #[test]
 fn far_changes_keep_the_averaged_surface() {
     const FAR: f64 = 150.0;
@@ -475,8 +476,8 @@ fn fluid_appears_only_beside_fluid() {
     }
 }
 
-/// A drop that exists in the middle frame only keeps its volume, and so does one that is deep in the body in the others.
-/// A drop that exists in the others only leaves no ghost.
+/// A drop that exists in the middle frame only keeps its volume, and so does one that is deep in the body in
+/// the others. A drop that exists in the others only leaves no ghost.
 #[test]
 fn drops_that_appear_vanish_or_merge_stay_what_they_are() {
     let body = block(10, 0.0, 1);
