@@ -15,6 +15,7 @@ mod blosc;
 pub mod bytes;
 pub mod columns;
 pub mod compression;
+pub mod container;
 pub mod csv;
 pub mod data;
 mod digest;
@@ -56,6 +57,7 @@ mod zstd;
 
 pub use batches::{ParticleBatch, ParticleBatches, ReadAt};
 pub use compression::Codec;
+pub use container::{ContainerFile, OpenFurther, Sample};
 pub use data::{
     AttributeRole, BandGrid, ColorPicture, FileAttribute, FilePositions, LeafValues, LevelSetView, MeshData,
     MeshView, ParticleFrame, PictureCamera, PictureLayer, PictureView, PixelSamples, Provenance, Values,
@@ -75,7 +77,7 @@ pub use row::{
 pub use table::{Format, OutputFormat, read_provenance};
 pub use text::{Escaped, escaped, is_unsafe, listed};
 
-use row::ParticleReader;
+use row::{ParticleReader, ReadParticles};
 
 /// Reads a frame of particles from a file in any supported format, compressed or not.
 ///
@@ -97,7 +99,11 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
         return Err(Error::truncated("", Position::File, "the file ends within its signature"));
     }
     let reader = reader_of(kind, codec)?;
-    let frame = (reader.read)(&compression::decompressed(bytes, limits)?, limits)?;
+    let bytes = compression::decompressed(bytes, limits)?;
+    let frame = match &reader.read {
+        ReadParticles::Whole(read) => read(&bytes, limits)?,
+        ReadParticles::Sample(container) => container.read_alone(kind.name(), &bytes, limits)?,
+    };
     let positions = &frame.positions;
     if !positions.is_empty() && !positions.has_finite() {
         let what = format!("none of the {} particles has a finite position", positions.len());

@@ -3,6 +3,7 @@
 use std::io::Write;
 
 use crate::batches::{ReadAt, Records};
+use crate::container::ContainerReader;
 use crate::data::{MeshData, MeshView, ParticleFrame, PictureView, Provenance, VertexAttribute};
 use crate::error::Result;
 use crate::limits::Limits;
@@ -47,22 +48,40 @@ pub(crate) type FindRecords = fn(&[u8], u64, &dyn ReadAt, &Limits) -> Result<Res
 
 /// How particles are read from a format.
 pub(crate) struct ParticleReader {
-    /// Reads the whole decompressed file.
-    pub(crate) read: fn(&[u8], &Limits) -> Result<ParticleFrame>,
+    /// Reads a frame.
+    pub(crate) read: ReadParticles,
     /// Checks the file's size against its first bytes.
     pub(crate) completeness: fn(&[u8], u64) -> Result<HeadCheck>,
     /// Locates the records of a file that can be read in batches.
     pub(crate) find_records: Option<FindRecords>,
-    /// Finds the frames of a file that can have several.
+    /// Finds the frames of a text or an array that can have several.
     pub(crate) find_steps: Option<FindSteps>,
+}
+
+/// How a frame of particles is read.
+pub(crate) enum ReadParticles {
+    /// From all bytes of a decompressed file, or of one of its steps.
+    Whole(fn(&[u8], &Limits) -> Result<ParticleFrame>),
+    /// From an open container, by its index.
+    Sample(ContainerReader),
 }
 
 impl ParticleReader {
     /// A single-frame format that must be read whole and whose completeness is unknown.
     pub(crate) const fn new(read: fn(&[u8], &Limits) -> Result<ParticleFrame>) -> ParticleReader {
         ParticleReader {
-            read,
+            read: ReadParticles::Whole(read),
             completeness: |_, _| Ok(HeadCheck::Known(Completeness::Unknown)),
+            find_records: None,
+            find_steps: None,
+        }
+    }
+
+    /// A container, whose reader notices missing bytes.
+    pub(crate) const fn container(container: ContainerReader) -> ParticleReader {
+        ParticleReader {
+            read: ReadParticles::Sample(container),
+            completeness: |_, _| Ok(HeadCheck::Known(Completeness::NeedsReading)),
             find_records: None,
             find_steps: None,
         }
