@@ -9,13 +9,21 @@
 //!
 //! A reader looks at the structure of the file, and then only at the arrays of the sample that is read, so a
 //! file can be larger than memory. It may open files beside its own.
+//!
+//! [`packed`] turns a sample into bytes that depend on nothing but its particles, whatever else the file has,
+//! and that [`crate::read_particles`] reads.
 
 use std::io;
 
-use crate::batches::ReadAt;
+use crate::batches::{ReadAt, read};
 use crate::data::ParticleFrame;
-use crate::error::{Error, Result};
+use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
+use crate::packed::pack;
+use crate::probe::ProbedKind;
+use crate::row::ReadParticles;
+use crate::table::Format;
+use crate::text::excerpt;
 
 /// A frame of a container, before its particles are read.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,9 +55,69 @@ pub(crate) struct ContainerReader {
     pub(crate) samples: fn(&ContainerFile, &Limits) -> Result<Vec<Sample>>,
     /// Reads a frame by its index in `samples`.
     pub(crate) read: fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame>,
+    /// The files that each frame is read from, if these are other files than the container: their paths
+    /// relative to its folder.
+    pub(crate) files: Option<FilesOfFrames>,
+}
+
+/// Finds the files that each frame is read from.
+pub(crate) type FilesOfFrames = fn(&ContainerFile, &Limits) -> Result<Vec<Vec<String>>>;
+
+/// Whether files of this kind are containers.
+pub fn is_container(kind: ProbedKind) -> bool {
+    reader_of(kind).is_some()
+}
+
+/// The frames with particles in a container of this kind; empty for other kinds.
+///
+/// # Errors
+/// Those of the format's reader: [`Error::Unsupported`] for a file without particles, for example.
+pub fn samples(kind: ProbedKind, container: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>> {
+    reader_of(kind).map_or_else(|| Ok(Vec::new()), |(_, reader)| (reader.samples)(container, limits))
+}
+
+/// The files that each of the [`samples`] is read from, if these are other files than the container: their
+/// paths relative to its folder, with `/` between their parts. They may name further files themselves.
+///
+/// # Errors
+/// Those of [`samples`].
+pub fn further_files(
+    kind: ProbedKind,
+    container: &ContainerFile,
+    limits: &Limits,
+) -> Result<Option<Vec<Vec<String>>>> {
+    let files = reader_of(kind).and_then(|(_, reader)| reader.files);
+    files.map(|files| files(container, limits)).transpose()
+}
+
+/// The particles of one of the [`samples`], by its index, as bytes that [`crate::read_particles`] reads. Equal
+/// particles give equal bytes.
+///
+/// # Errors
+/// Those of the format's reader; [`Error::Unsupported`] if the kind is not that of a container.
+pub fn packed(kind: ProbedKind, container: &ContainerFile, index: usize, limits: &Limits) -> Result<Vec<u8>> {
+    let not_one = || Error::unsupported(kind.name(), "not a file with frames of its own");
+    let (format, reader) = reader_of(kind).ok_or_else(not_one)?;
+    Ok(pack(format, &(reader.read)(container, index, limits)?))
+}
+
+fn reader_of(kind: ProbedKind) -> Option<(Format, &'static ContainerReader)> {
+    let format = kind.format()?;
+    match &format.row().particles.as_ref()?.read {
+        ReadParticles::Whole(_) => None,
+        ReadParticles::Sample(reader) => Some((format, reader)),
+    }
 }
 
 impl ContainerReader {
+    /// A container whose frames are in the file itself.
+    pub(crate) const fn new(
+        samples: fn(&ContainerFile, &Limits) -> Result<Vec<Sample>>,
+        read: fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame>,
+    ) -> ContainerReader {
+        ContainerReader { samples, read, files: None }
+    }
+
     /// Reads the only frame of a container in memory that names no other file.
     ///
     /// # Errors
@@ -69,5 +137,100 @@ impl ContainerReader {
             return Err(Error::unsupported(format, what));
         }
         (self.read)(&container, 0, limits)
+    }
+}
+
+impl ContainerFile<'_> {
+    /// Opens a file that the container names. `path` is one that [`further_path`] returned, and `format` that
+    /// of the file that names it.
+    ///
+    /// # Errors
+    /// [`Error::Truncated`], which may be temporary, if there is no such file; [`Error::Io`] for other errors.
+    /// All of them name the path.
+    pub(crate) fn open_further(&self, format: &'static str, path: &str) -> Result<Box<dyn ReadAt>> {
+        (self.open)(path).map_err(|error| match error.kind() {
+            io::ErrorKind::NotFound => {
+                let what = format!("the file {}, which it names, is missing", excerpt(path));
+                Error::truncated(format, Position::File, what)
+            }
+            kind => Error::Io(io::Error::new(kind, format!("{}: {error}", excerpt(path)))),
+        })
+    }
+
+    /// All bytes of a file that the container names: see [`open_further`](Self::open_further).
+    pub(crate) fn read_further(&self, format: &'static str, path: &str) -> Result<Vec<u8>> {
+        let file = self.open_further(format, path)?;
+        let size = file.size_bytes()?;
+        read(&*file, 0..size)
+    }
+}
+
+/// The path of a file that a file in `folder` names, relative to the folder of the container. `folder` is
+/// relative to the same folder, and empty for the container itself. Both `/` and `\` may stand between the
+/// parts of `named`.
+///
+/// # Errors
+/// [`Error::Unsupported`] for absolute paths and addresses, and for paths that lead out of the folder of the
+/// container: a file from elsewhere should not make this program open other files.
+pub(crate) fn further_path(format: &'static str, folder: &str, named: &str) -> Result<String> {
+    let refuse = |why: &str| {
+        let what = format!("it names the file \"{}\", {why}", excerpt(named));
+        Err(Error::unsupported(format, what))
+    };
+    let is_separator = |letter| matches!(letter, '/' | '\\');
+    if named.starts_with(is_separator) || named.contains(':') {
+        return refuse("which is not a path relative to its own folder: save it with relative paths");
+    }
+    let mut parts: Vec<&str> = folder.split('/').filter(|part| !part.is_empty()).collect();
+    for part in named.split(is_separator) {
+        match part {
+            "" | "." => {}
+            ".." if parts.pop().is_none() => {
+                return refuse("which is outside of its own folder: move the files into one folder");
+            }
+            ".." => {}
+            part => parts.push(part),
+        }
+    }
+    let is_folder = named.rsplit(is_separator).next().is_none_or(|last| ["", ".", ".."].contains(&last));
+    if is_folder || named.contains('\0') {
+        return refuse("which is not the path of a file");
+    }
+    Ok(parts.join("/"))
+}
+
+/// The folder of a path with `/` between its parts; empty if it has none.
+pub(crate) fn folder_of(path: &str) -> &str {
+    path.rsplit_once('/').map_or("", |(folder, _)| folder)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_stay_within_the_folder() {
+        for (folder, named, expected) in [
+            ("", "a.vtu", Some("a.vtu")),
+            ("", "./sub/a.vtu", Some("sub/a.vtu")),
+            ("", "sub\\a b.vtu", Some("sub/a b.vtu")),
+            ("sub", "a.vtu", Some("sub/a.vtu")),
+            ("sub/deep", "../a.vtu", Some("sub/a.vtu")),
+            ("sub", "../../a.vtu", None),
+            ("", "../a.vtu", None),
+            ("", "sub/../../a.vtu", None),
+            ("", "/etc/passwd", None),
+            ("", "\\\\server\\a.vtu", None),
+            ("", "C:\\a.vtu", None),
+            ("", "http://a.org/a.vtu", None),
+            ("", "", None),
+            ("sub", ".", None),
+            ("sub", "..", None),
+            ("", "sub/", None),
+            ("", "a\0.vtu", None),
+        ] {
+            let found = further_path("test", folder, named).ok();
+            assert_eq!(found.as_deref(), expected, "{named} in {folder}");
+        }
     }
 }

@@ -5,7 +5,9 @@
 //! `Unsupported` that this program must change, and `TooLarge` and `MemoryLimit` that a limit must change.
 //! The caller, which opened the file, adds the name of the file.
 
-use std::fmt;
+use std::{fmt, io};
+
+use crate::text::excerpt;
 
 /// A result with this crate's error type.
 pub type Result<T> = std::result::Result<T, Error>;
@@ -35,7 +37,7 @@ impl fmt::Display for Position {
 #[derive(Debug)]
 pub enum Error {
     /// The operating system reported an error.
-    Io(std::io::Error),
+    Io(io::Error),
     /// The file ends too early. The bytes so far may be the beginning of a valid file.
     Truncated {
         /// The format's name, such as `PLY`; empty if the file is too short to recognise.
@@ -112,6 +114,21 @@ impl Error {
         }
     }
 
+    /// The same error about one of several files, which it names.
+    pub(crate) fn in_file(mut self, path: &str) -> Error {
+        match &mut self {
+            Error::Truncated { what, .. }
+            | Error::Invalid { what, .. }
+            | Error::Unsupported { what, .. }
+            | Error::TooLarge { what, .. } => *what = format!("{}: {what}", excerpt(path)),
+            Error::Io(source) => {
+                *source = io::Error::new(source.kind(), format!("{}: {source}", excerpt(path)))
+            }
+            Error::MemoryLimit { .. } => {}
+        }
+        self
+    }
+
     /// The same error with its line number increased by `count`, for a reader that started `count` lines into
     /// the file.
     pub fn with_line_offset(mut self, count: u64) -> Error {
@@ -163,8 +180,8 @@ impl std::error::Error for Error {
     }
 }
 
-impl From<std::io::Error> for Error {
-    fn from(source: std::io::Error) -> Error {
+impl From<io::Error> for Error {
+    fn from(source: io::Error) -> Error {
         Error::Io(source)
     }
 }

@@ -34,6 +34,7 @@ pub mod npy;
 mod number;
 pub mod obj;
 mod options;
+mod packed;
 pub mod ply;
 pub mod png;
 pub mod probe;
@@ -70,6 +71,7 @@ pub use mesh::{ObstacleData, check_obstacle, looks_like_mesh, read_mesh, read_ob
 pub use neighbor::{Neighbor, neighbor};
 pub use number::NumberType;
 pub use options::{MeshOptions, UpAxis, WriteOption};
+pub use packed::format_of_packed;
 pub use probe::{Probe, ProbedKind, looks_like_particles, probe};
 pub use row::{
     BatchEncoder, Completeness, Content, MeshEncoder, MeshWriter, ParticleWriter, PictureWriter, StreamWriter,
@@ -83,13 +85,18 @@ use row::{ParticleReader, ReadParticles};
 ///
 /// The content decides the format; [`probe()`] documents when `file_name` matters. A mesh in a PLY file is
 /// read as particles at its vertices, with a note. A file in a multi-frame format, such as a LAMMPS dump,
-/// must contain exactly one frame; for files with several frames, see [`steps`].
+/// must contain exactly one frame; for files with several frames, see [`steps`] and [`container`]. The bytes
+/// may also be those of [`container::packed`].
 ///
 /// # Errors
 /// The errors of the format's reader, with offsets into the decompressed bytes; `Unsupported`, with what to
 /// do instead, if the file is not a particle file; `Invalid` if it has particles, and none of them has a
 /// finite position.
 pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<ParticleFrame> {
+    if let Some(frame) = packed::unpack(bytes, limits) {
+        let format = format_of_packed(bytes).map_or("", Format::name);
+        return with_finite(format, frame?);
+    }
     let Probe { kind, codec } = probe(bytes, file_name);
     let is_vague = matches!(kind, ProbedKind::Empty | ProbedKind::Unknown | ProbedKind::UnknownText);
     if let Some(codec) = codec.filter(|_| is_vague) {
@@ -104,10 +111,15 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
         ReadParticles::Whole(read) => read(&bytes, limits)?,
         ReadParticles::Sample(container) => container.read_alone(kind.name(), &bytes, limits)?,
     };
+    with_finite(kind.name(), frame)
+}
+
+/// Requires that a frame with particles has one with a finite position.
+fn with_finite(format: &'static str, frame: ParticleFrame) -> Result<ParticleFrame> {
     let positions = &frame.positions;
     if !positions.is_empty() && !positions.has_finite() {
         let what = format!("none of the {} particles has a finite position", positions.len());
-        return Err(Error::invalid(kind.name(), Position::File, what));
+        return Err(Error::invalid(format, Position::File, what));
     }
     Ok(frame)
 }

@@ -47,6 +47,7 @@ pub fn neighbor(head: &[u8], file_name: &str, file: &dyn ReadAt) -> Option<Neigh
             has_faces.then_some(Neighbor::Mesh)
         }
         Format::Vtp => vtk::xml_neighbor(start),
+        Format::VtkIndex => Some(Neighbor::Index),
         // Of a compressed file, only the beginning is read.
         Format::VtkLegacy if unpacked.is_some() => vtk::legacy_neighbor(&start),
         Format::VtkLegacy => vtk::legacy_neighbor(file),

@@ -11,8 +11,10 @@ use std::ops::Range;
 
 use crate::compression::{Codec, name_without_compression};
 use crate::csv;
+use crate::neighbor::Neighbor;
 use crate::table::Format;
 use crate::text::{Lines, parse_number};
+use crate::vtk;
 use crate::xyz_ext::looks_like_atoms;
 
 /// What a file was recognised as.
@@ -137,10 +139,10 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
     }
     let text = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head).trim_ascii_start();
     // This check comes before the check for text, because VTK appends raw bytes to its XML.
-    let is_named_vtk = || name.ends_with(".vtp") || name.ends_with(".vtu");
-    if text.starts_with(b"<") && (contains(text, b"<VTKFile") || is_named_vtk() && !contains(text, b"<html"))
+    if text.starts_with(b"<")
+        && let Some(format) = vtk_kind(text, name)
     {
-        return ProbedKind::Format(Format::Vtp);
+        return ProbedKind::Format(format);
     }
     if !is_text(head) {
         // A binary STL file has no signature: only its name, or this program's own header, identifies it.
@@ -178,6 +180,20 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
     }
 }
 
+/// The format of a VTK XML file; the name decides if the head ends before its first tag.
+fn vtk_kind(text: &[u8], name: &str) -> Option<Format> {
+    let is_named = |format: Format| {
+        let mut extensions = format.extensions().iter();
+        extensions.any(|extension| name.strip_suffix(extension).is_some_and(|stem| stem.ends_with('.')))
+    };
+    if contains(text, b"<VTKFile") {
+        let is_index = vtk::xml_neighbor(text) == Some(Neighbor::Index);
+        return Some(if is_index { Format::VtkIndex } else { Format::Vtp });
+    }
+    let formats = [Format::Vtp, Format::VtkIndex].into_iter();
+    formats.filter(|_| !contains(text, b"<html")).find(|format| is_named(*format))
+}
+
 /// The name of the first member of a ZIP archive.
 fn first_member(head: &[u8]) -> Option<&[u8]> {
     let length = u16::from_le_bytes(*head.get(26..)?.first_chunk()?);
@@ -201,6 +217,9 @@ fn starts_with_section(text: &[u8]) -> bool {
 }
 
 fn json_kind(text: &[u8], name: &str) -> ProbedKind {
+    if contains(text, b"\"file-series-version\"") {
+        return ProbedKind::Format(Format::VtkIndex);
+    }
     let is_named_geo = || name.ends_with(".geo") || name.ends_with(".bgeo");
     if contains(text, b"\"fileversion\"") || contains(text, b"\"pointcount\"") || is_named_geo() {
         return ProbedKind::Format(Format::HoudiniJsonText);
@@ -440,6 +459,15 @@ mod tests {
                 b"<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\">",
                 "a.vtp",
                 ProbedKind::Format(Format::Vtp),
+            ),
+            (b"<VTKFile type=\"Collection\"><Coll", "a.xml", ProbedKind::Format(Format::VtkIndex)),
+            (b"<VTKFile type=\"PPolyData\">", "a.pvtp", ProbedKind::Format(Format::VtkIndex)),
+            (b"<VTKFile type=\"PImageData\">", "a.pvti", ProbedKind::Format(Format::Vtp)),
+            (b"<?xml version=\"1.0\"?>\n", "a.pvd", ProbedKind::Format(Format::VtkIndex)),
+            (
+                b"{\n  \"file-series-version\" : \"1.0\",\n",
+                "a.vtk.series",
+                ProbedKind::Format(Format::VtkIndex),
             ),
             (b"<html>", "a.vtp", ProbedKind::Foreign("XML")),
             (b"{\"asset\":{\"version\":\"2.0\"}}", "a", ProbedKind::Format(Format::Gltf)),

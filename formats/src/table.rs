@@ -115,6 +115,8 @@ formats! {
         HoudiniSc => crate::houdini::CONTAINER,
         /// VTK's legacy format, text or binary.
         VtkLegacy => crate::vtk::LEGACY_ROW,
+        /// ParaView's lists of files: `.pvd`, `.vtk.series`, `.pvtu`, `.pvtp`, `.vtpd` and `.vtm`.
+        VtkIndex => crate::vtk::INDEX_ROW,
         /// A text table: CSV, tab- or space-separated.
         Delimited => crate::csv::ROW,
         /// LAMMPS dump: a table of particles for each time step.

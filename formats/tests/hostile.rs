@@ -11,12 +11,12 @@ mod fixtures;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use meniscus_formats::{
-    AttributeRole, BandGrid, FileAttribute, LeafValues, LevelSetView, Limits, MeshOptions, MeshView,
-    OutputFormat, ParticleBatch, ParticleBatches, Result, Values, abc, bgeo, csv, lammps, ply, read_mesh,
-    read_obstacle, read_particles, usdc, vdb,
+    AttributeRole, BandGrid, ContainerFile, FileAttribute, Format, LeafValues, LevelSetView, Limits,
+    MeshOptions, MeshView, OutputFormat, ParticleBatch, ParticleBatches, ProbedKind, ReadAt, Result, Values,
+    abc, bgeo, container, csv, lammps, ply, read_mesh, read_obstacle, read_particles, usdc, vdb,
 };
 use peak_alloc::PeakAlloc;
 
@@ -103,6 +103,35 @@ fn damaged_files_of_other_formats_do_not_panic() {
     for (name, bytes) in fixtures::all() {
         sweep(&name, &bytes, |bytes| read_particles(bytes, &name, &Limits::default()));
     }
+}
+
+/// The lists are damaged, and the files that they name.
+#[test]
+fn damaged_lists_of_files_do_not_panic() {
+    let _alone = alone();
+    let file = fixtures::vtk_list(
+        "PolyData",
+        "<Piece NumberOfPoints=\"1\"><Points><DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"ascii\">1 2 3</DataArray></Points></Piece>",
+    );
+    let lists = fixtures::vtk_lists();
+    let frames = |list: &[u8], file: &[u8]| {
+        let open = |path: &str| -> std::io::Result<Box<dyn ReadAt>> {
+            let nested = lists.iter().find(|(name, _)| name == path).map(|(_, bytes)| &bytes[..]);
+            Ok(Box::new(Arc::<[u8]>::from(nested.unwrap_or(file))))
+        };
+        let (kind, limits) = (ProbedKind::Format(Format::VtkIndex), Limits::default());
+        let container = ContainerFile { file: &list, name: "list", open: &open };
+        let count = container::samples(kind, &container, &limits)?.len();
+        (0..count.min(3)).try_for_each(|index| {
+            let bytes = container::packed(kind, &container, index, &limits)?;
+            read_particles(&bytes, "list", &limits).map(drop)
+        })
+    };
+    for (name, bytes) in &lists {
+        frames(bytes, file.as_bytes()).unwrap_or_else(|error| panic!("{name}: {error}"));
+        sweep(name, bytes, |bytes| frames(bytes, file.as_bytes()));
+    }
+    sweep("a.vtp", file.as_bytes(), |bytes| frames(&lists[0].1, bytes));
 }
 
 /// Files of some megabytes in which a few bytes cause the largest possible use of memory or time:

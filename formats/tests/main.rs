@@ -27,6 +27,7 @@ mod vdb_read; // .vdb files written by other programs
 mod vdb_write; // level sets written as .vdb
 mod vertex_attributes; // vertex attributes
 mod vtk; // VTK files
+mod vtk_index; // files that list VTK files
 mod xyz_ext; // extended XYZ
 
 /// If a file is missing in this list of modules, it is not compiled, and its tests do not run.

@@ -42,6 +42,15 @@ const LINE_BYTES_MAX: usize = 64 << 10;
 /// [`Error::Truncated`] if data is missing, [`Error::Invalid`] for an unexpected line, [`Error::Unsupported`]
 /// for data sets that are not point sets, [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+    let (piece, notes) = read_piece(bytes, limits)?;
+    Ok(joined(vec![piece], notes))
+}
+
+/// Reads the points and their arrays, and notes.
+///
+/// # Errors
+/// Those of [`read`].
+pub(super) fn read_piece(bytes: &[u8], limits: &Limits) -> Result<(VtkPiece, Vec<String>)> {
     let mut file = File { bytes, at: 0, is_binary: false, limits };
     file.head()?;
     let mut found = LegacyData::default();
@@ -52,7 +61,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         found.notes.push(POLYGONS_NOTE.into());
     }
     let positions = found.positions.ok_or_else(|| file.truncated("the file ends before any POINTS"))?;
-    Ok(joined(vec![VtkPiece { positions, arrays: found.arrays }], found.notes))
+    Ok((VtkPiece { positions, arrays: found.arrays }, found.notes))
 }
 
 /// Reads the points and the polygons, without normals. Polygons with more than three corners become triangle

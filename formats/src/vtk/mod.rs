@@ -1,4 +1,4 @@
-//! VTK files: the legacy format, and the XML formats `.vtp` and `.vtu`.
+//! VTK files: the legacy format, the XML formats `.vtp` and `.vtu`, and the files that list such files.
 //!
 //! All contain points, cells and data, in several pieces and encodings. Particles are the points, with the
 //! arrays that have a value for each point. Cells are skipped when particles are read. When a mesh is read,
@@ -7,6 +7,7 @@
 //! The layouts were derived from files of VTK, meshio, PyVista and SPlisHSPlasH.
 
 mod blocks;
+mod index;
 mod legacy;
 mod write;
 mod xml;
@@ -38,6 +39,7 @@ use write::ends_as_written;
 /// The formats' names in errors.
 const LEGACY: &str = "legacy VTK";
 const XML: &str = "VTK XML";
+const INDEX: &str = "ParaView index";
 
 /// The row of the legacy format in the table of formats.
 pub(crate) static LEGACY_ROW: FormatRow = FormatRow {
@@ -66,6 +68,30 @@ pub(crate) static ROW: OutputRow = OutputRow {
     read_provenance: |head| Ok(from_strings(field_strings(head)?)),
     integrity: Integrity::Tail(ends_as_written),
 };
+
+/// The row of the files that list others in the table of formats.
+pub(crate) static INDEX_ROW: FormatRow = FormatRow {
+    particles: Some(ParticleReader::container(index::READER)),
+    ..FormatRow::new(INDEX, INDEX_EXTENSIONS)
+};
+
+/// The extensions of the files that list others. ParaView makes those of series from that of the files.
+const INDEX_EXTENSIONS: &[&str] = &[
+    "pvd",
+    "pvtu",
+    "pvtp",
+    "vtpd",
+    "vtpc",
+    "vtm",
+    "series",
+    "vtk.series",
+    "vtu.series",
+    "vtp.series",
+    "pvtu.series",
+    "pvtp.series",
+    "vtm.series",
+    "vtpd.series",
+];
 
 // Joins the pieces of a data set into one frame.
 

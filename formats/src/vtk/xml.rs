@@ -41,6 +41,15 @@ use crate::text::excerpt;
 /// the wrong size, [`Error::Unsupported`] for data sets that are not point sets, [`Error::TooLarge`] beyond
 /// `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+    let (pieces, notes) = read_pieces(bytes, limits)?;
+    Ok(joined(pieces, notes))
+}
+
+/// Reads the points of each piece, and notes.
+///
+/// # Errors
+/// Those of [`read`].
+pub(super) fn read_pieces(bytes: &[u8], limits: &Limits) -> Result<(Vec<VtkPiece>, Vec<String>)> {
     let (mut decoder, pieces, mut notes) = open(bytes, limits)?;
     let mut has_faces = pieces.iter().any(|piece| piece.poly_count > 0 || piece.strip_count > 0);
     for piece in &pieces {
@@ -58,7 +67,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         pieces.iter().map(|described| piece(described, &mut decoder, &mut notes)).collect::<Result<_>>()?;
     // A limit for each piece does not limit their total.
     checked_count(XML, pieces.iter().map(|piece| piece.positions.len() as u64).sum(), limits)?;
-    Ok(joined(pieces, notes))
+    Ok((pieces, notes))
 }
 
 /// The pieces of a file, the decoder of their arrays, and notes.
@@ -66,17 +75,27 @@ fn open<'a>(
     bytes: &'a [u8],
     limits: &'a Limits,
 ) -> Result<(ArrayDecoder<'a>, Vec<Described<'a>>, Vec<String>)> {
-    if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
-        let position = Position::Offset(bytes.len() as u64);
-        return Err(Error::truncated(XML, position, "the file ends without </VTKFile>"));
-    }
+    check_end(XML, bytes)?;
     let (text, appended) = split_appended(bytes)?;
-    let text = std::str::from_utf8(text).map_err(|error| {
-        Error::invalid(XML, Position::Offset(error.valid_up_to() as u64), "expected UTF-8 text")
-    })?;
+    let text = utf8(XML, text)?;
     let document = document(text, limits)?;
     let decoder = ArrayDecoder::new(document.encoding, appended, bytes.len() as u64, limits);
     Ok((decoder, document.pieces, document.notes))
+}
+
+/// Requires the last tag.
+pub(super) fn check_end(format: &'static str, bytes: &[u8]) -> Result<()> {
+    if bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
+        return Ok(());
+    }
+    let position = Position::Offset(bytes.len() as u64);
+    Err(Error::truncated(format, position, "the file ends without </VTKFile>"))
+}
+
+pub(super) fn utf8<'a>(format: &'static str, text: &'a [u8]) -> Result<&'a str> {
+    std::str::from_utf8(text).map_err(|error| {
+        Error::invalid(format, Position::Offset(error.valid_up_to() as u64), "expected UTF-8 text")
+    })
 }
 
 /// Splits the file into text and appended data.
@@ -208,18 +227,22 @@ fn document<'a>(text: &'a str, limits: &Limits) -> Result<XmlDocument<'a>> {
     }
 }
 
-fn malformed(at: u64, what: impl Into<String>) -> Error {
+pub(super) fn malformed(at: u64, what: impl Into<String>) -> Error {
     Error::invalid(XML, Position::Offset(at), what)
 }
 
 /// What a data set of this type contains instead of particles.
-fn neighbor_of_type(kind: &str) -> Option<Neighbor> {
+pub(super) fn neighbor_of_type(kind: &str) -> Option<Neighbor> {
     match kind {
         "PolyData" | "UnstructuredGrid" => None,
-        // Collections (.pvd), parallel data sets (.pvtu and the like) and composite ones (.vtm and the like).
-        _ if kind == "Collection" || kind.starts_with('P') || kind.starts_with("vtk") => {
-            Some(Neighbor::Index)
-        }
+        // Collections (.pvd), parallel data sets (.pvtu and .pvtp) and composite ones (.vtm and the like).
+        "Collection"
+        | "PPolyData"
+        | "PUnstructuredGrid"
+        | "vtkMultiBlockDataSet"
+        | "vtkMultiPieceDataSet"
+        | "vtkPartitionedDataSet"
+        | "vtkPartitionedDataSetCollection" => Some(Neighbor::Index),
         _ => Some(Neighbor::Grid),
     }
 }
@@ -401,7 +424,7 @@ fn number_of(kind: &str) -> Option<NumberType> {
 }
 
 /// The value of an attribute of a tag.
-fn attribute(tag: &BytesStart, name: &str, at: u64) -> Result<Option<String>> {
+pub(super) fn attribute(tag: &BytesStart, name: &str, at: u64) -> Result<Option<String>> {
     let wrong = |error: &dyn std::fmt::Display| malformed(at, format!("the attribute `{name}`: {error}"));
     let Some(found) = tag.try_get_attribute(name).map_err(|error| wrong(&error))? else { return Ok(None) };
     let value = quick_xml::escape::unescape(&found.value).map_err(|error| wrong(&error))?;
