@@ -13,6 +13,8 @@ use crate::vtk;
 pub enum Neighbor {
     /// The names of other files, such as a `.pvd`.
     Index,
+    /// A part of a frame: another file, such as a `.pvtu`, joins it to the others.
+    Part,
     /// A mesh: its points are the corners of faces.
     Mesh,
     /// A grid, or other data without a list of points.
@@ -24,6 +26,9 @@ impl Neighbor {
     pub fn words(self) -> [&'static str; 2] {
         match self {
             Neighbor::Index => ["a list of other files", "lists of other files"],
+            Neighbor::Part => {
+                ["part of a frame that another file joins", "parts of frames that other files join"]
+            }
             Neighbor::Mesh => ["a mesh, not particles", "meshes, not particles"],
             Neighbor::Grid => ["a grid, not particles", "grids, not particles"],
         }

@@ -5,6 +5,7 @@
 //!   as given        resolved       frames and their outcomes
 //! ```
 
+use std::collections::BTreeSet;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,7 +16,8 @@ use meniscus_formats::listed;
 
 use crate::pipeline::{
     Frame, FrameFile, FrameRecords, Job, NumberedFrames, ObstacleFiles, OnError, OutputFormat, OutputOptions,
-    STATE_FOLDER, Sequence, SequenceRecord, UsdStageFrame, UsdStageSequence, check_outputs, output_sequence,
+    STATE_FOLDER, Sequence, SequenceRecord, UsdStageFrame, UsdStageSequence, check_outputs, frame_rate,
+    output_sequence, step_of,
 };
 use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::simd::level_warning;
@@ -47,7 +49,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         refuse_options_for_surfaces(args)?;
     }
     let (destination, folder, formats) = Destination::of(args, console)?;
-    let outputs = formats.outputs(folder)?;
+    let mut outputs = formats.outputs(folder)?;
     if outputs.stage.is_some() && !matches!(destination, Destination::Folder) {
         bail!("--stage plays the files of a folder: name a folder with --out");
     }
@@ -56,7 +58,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
     }
     if args.print_settings && args.inputs.is_empty() {
         // This refuses the sequence files that a conversion would refuse.
-        SequenceOutputs::new(args, &outputs, 1)?;
+        SequenceOutputs::new(args, &outputs, 1, None)?;
         print_settings_of_any(&args.method, &outputs, console)?;
         return Ok(CommandOutcome::Done);
     }
@@ -81,9 +83,13 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         }
         job
     };
+    let fps = args.formats.fps.or_else(|| frame_rate_of(&selection));
+    if let (Some(stage), Some(fps)) = (&mut outputs.stage, fps) {
+        stage.fps = fps;
+    }
     if args.print_settings {
         // As above, this refuses the sequence files that a conversion would refuse.
-        SequenceOutputs::new(args, &outputs, selection.sequences.len())?;
+        SequenceOutputs::new(args, &outputs, selection.sequences.len(), fps)?;
         let pool = thread_pool(args.run.threads)?;
         print_settings(&selection.sequences, job, &args.method, &outputs, &pool, console)?;
         return Ok(CommandOutcome::Done);
@@ -98,7 +104,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         .then(|| open_records(&outputs.folder, console))
         .transpose()?;
     let plan = ConvertPlan {
-        sequence_files: SequenceOutputs::new(args, &outputs, selection.sequences.len())?,
+        sequence_files: SequenceOutputs::new(args, &outputs, selection.sequences.len(), fps)?,
         selection,
         job,
         options: args.method.to_options(),
@@ -110,6 +116,15 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
     let batch = Batch::new(args, start)?;
     let outcome = plan.run(batch, out_folder, console)?;
     destination.copy_to_stdout(outcome)
+}
+
+/// The frame rate by the times of the frames, if they are steps of files that all have the same rate.
+fn frame_rate_of(selection: &InputSelection) -> Option<f64> {
+    let files = selected_files(&selection.sequences).map(|file| step_of(&file.path).map(|(file, _)| file));
+    let files: BTreeSet<&Path> = files.collect::<Option<_>>()?;
+    let mut rates = files.into_iter().map(frame_rate);
+    let first = rates.next()??;
+    rates.all(|rate| rate == Some(first)).then_some(first)
 }
 
 /// Refuses given options for surfaces, for `--particles-only`.

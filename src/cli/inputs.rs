@@ -11,9 +11,9 @@ use walkdir::{DirEntry, WalkDir};
 
 use crate::pipeline::{
     self, FrameFile, NumberPattern, OutFolderError, Sequence, SniffedContent, canonical_path,
-    check_out_folder, content, file_of, files_in, frames_in, is_absent, is_level_set, is_mesh, is_number,
-    is_sequence_file, may_be_file, promises_particles, shown, single_frame_sequences, single_frames_note,
-    size_bytes, step_of,
+    check_out_folder, content, file_of, files_in, files_joined_by, frames_in, is_absent, is_level_set,
+    is_mesh, is_named_list, is_number, is_sequence_file, may_be_file, promises_particles, shown,
+    single_frame_sequences, single_frames_note, size_bytes, step_of,
 };
 use crate::surface::options::MethodOptions;
 
@@ -483,9 +483,15 @@ impl MatchedInputs {
         Ok(())
     }
 
-    /// Adds those of the files in a folder that are frames.
+    /// Adds those of the files in a folder that are frames. The files that another one joins to a frame are not.
     fn add_files(&mut self, files: &[PathBuf]) {
+        let joined: HashSet<PathBuf> =
+            files.iter().filter(|path| joins_files(path)).flat_map(|path| files_joined_by(path)).collect();
         for path in files {
+            if joined.contains(path) {
+                self.skip(Some(Neighbor::Part), path.clone(), 1);
+                continue;
+            }
             match content_in_folder(path) {
                 Ok(SniffedContent::Particles | SniffedContent::OwnParticles) => {
                     self.files.push(FrameFile::new(path.clone()));
@@ -681,6 +687,11 @@ fn content_in_folder(path: &Path) -> io::Result<SniffedContent> {
             if promises_particles(&name) { Ok(SniffedContent::Particles) } else { Err(error) }
         },
     )
+}
+
+/// Whether a file joins other files to frames.
+fn joins_files(path: &Path) -> bool {
+    is_named_list(path) && matches!(content(path), Ok(SniffedContent::Particles))
 }
 
 /// The sub-folders of a folder whose names are numbers, such as those of times.

@@ -118,7 +118,7 @@ pub(super) struct SequenceOutputs {
 }
 
 impl SequenceOutputs {
-    /// The requested sequence files, possibly none.
+    /// The requested sequence files, possibly none. `known_fps` is the frame rate by the times of the frames.
     ///
     /// # Errors
     /// If the files cannot be made with these options.
@@ -126,6 +126,7 @@ impl SequenceOutputs {
         args: &ConvertArgs,
         outputs: &OutputOptions,
         sequence_count: usize,
+        known_fps: Option<f64>,
     ) -> Result<SequenceOutputs> {
         let mut files = Vec::new();
         for path in &args.sequence {
@@ -147,7 +148,8 @@ impl SequenceOutputs {
         if files.is_empty() && outputs.stage.is_none() && fps.is_some() && !args.print_settings {
             bail!("--fps is for a sequence file or a stage: give --sequence or --stage as well");
         }
-        let options = SequenceOptions { fps: fps.unwrap_or(FPS), meters_per_unit: outputs.meters_per_unit };
+        let fps = fps.or(known_fps).unwrap_or(FPS);
+        let options = SequenceOptions { fps, meters_per_unit: outputs.meters_per_unit };
         Ok(SequenceOutputs { files, options, are_picked: args.frames.is_some() })
     }
 

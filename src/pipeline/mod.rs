@@ -91,8 +91,10 @@ pub use input::around::{AroundFrame, NumberedFrames, RecordedAround, not_followe
 pub use input::attributes::AttributeRequest;
 pub use input::bounds::{EMPTY_BOUNDS, bounds_of_particles, sequence_bounds};
 pub use input::conflicts::check_outputs;
+pub use input::container::files_joined_by;
 pub use input::filter::keep_chosen;
 pub use input::frame::{Frame, FrameReport, InputState, Job, Outcome, Seconds};
+pub use input::frame_rate::frame_rate;
 pub use input::level_set_file::{LevelSetFile, is_level_set};
 pub(crate) use input::measured_spacing::{Attempt, measure_sequence};
 pub use input::measured_spacing::{MeasuredSpacing, NoSpacing, measure_spacing, measured_by, preset_warning};
@@ -103,13 +105,13 @@ pub use input::reading::{
 };
 pub(crate) use input::source::output_stem;
 pub use input::source::{
-    FrameFile, Sequence, are_single_frames, has_particle_extension, order_by_number, output_sequence,
-    promises_particles, sequences, single_frame_sequences, single_frames_note,
+    FrameFile, Sequence, are_single_frames, has_particle_extension, is_named_list, order_by_number,
+    output_sequence, promises_particles, sequences, single_frame_sequences, single_frames_note,
 };
 pub(crate) use input::steps::step_in;
 pub use input::steps::{
-    FileFrames, IndexPolicy, file_of, frame_name, frames_in, frames_in_unless, is_missing_step,
-    may_hold_several, size_bytes, step_of,
+    FileFrames, IndexPolicy, file_of, frame_name, frames_in, frames_in_unless, has_container_frames,
+    is_missing_step, may_hold_several, size_bytes, step_of, time_of_frame,
 };
 pub use memory::{default_memory_bytes, resident_memory_bytes};
 pub use method::ScratchFile;

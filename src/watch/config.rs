@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use crate::pipeline::{Job, OutputOptions, is_level_set};
+use crate::pipeline::{Job, OutputOptions, is_level_set, is_named_list};
 use crate::surface::options::MethodOptions;
 
 /// The configuration of one run of the daemon.
@@ -69,6 +69,12 @@ impl Watch {
 /// again.
 pub fn names_level_sets(pattern: Option<&str>) -> bool {
     pattern.is_some_and(|pattern| is_level_set(Path::new(pattern)))
+}
+
+/// Whether a pattern selects lists of files, such as `.pvd`: by its extension. Other patterns skip a list if each file
+/// that it names is a frame beside it.
+pub(super) fn names_lists(pattern: Option<&str>) -> bool {
+    pattern.is_some_and(|pattern| is_named_list(Path::new(pattern)))
 }
 
 /// Which of the waiting frames is converted next.

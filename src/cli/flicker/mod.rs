@@ -16,8 +16,8 @@ use anyhow::{Result, bail};
 use meniscus_formats::Format;
 
 use crate::pipeline::{
-    AttributeRequest, FrameFile, MeshFile, Sequence, are_same_file, common_step, measure_spacing,
-    parse_particles, read_file, shown,
+    AttributeRequest, FrameFile, MeshFile, Sequence, are_same_file, common_step, frame_rate, measure_spacing,
+    parse_particles, read_file, shown, step_of,
 };
 use crate::surface::flicker::{
     CARRY_REACH, Carrier, Distribution, Enclosed, FlickerFrame, MovingParticles, carried_distances, enclosed,
@@ -222,7 +222,9 @@ impl Scoring<'_> {
 
     /// How points are followed: by ids if possible, or else by velocities.
     fn carrier_of(&self, frame: &FlickerFrame, particles: &Path) -> Result<Carrier> {
-        let seconds = self.args.dt.or_else(|| self.args.fps.map(f64::recip));
+        // The times of steps are those of their numbers.
+        let known_rate = || Some(frame_rate(step_of(particles)?.0)? / self.frames.particle_step as f64);
+        let seconds = self.args.dt.or_else(|| self.args.fps.or_else(known_rate).map(f64::recip));
         // A step of the meshes may span several steps of the particles.
         let seconds = seconds.map(|seconds| seconds * self.frames.particle_steps());
         let velocities = Carrier::Velocities { seconds: seconds.unwrap_or(1.0) };

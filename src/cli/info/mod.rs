@@ -15,14 +15,14 @@ use std::{io, iter};
 
 use anyhow::{Result, anyhow, bail};
 use meniscus_formats::{
-    Codec, Format, Limits, MeshData, OutputFormat, Probe, ProbedKind, abc, escaped, gltf, ply, probe,
-    read_mesh, read_particles, read_provenance, usda, usdc, vdb, vtk,
+    Codec, Format, Limits, MeshData, OutputFormat, Probe, ProbedKind, abc, escaped, format_of_packed, gltf,
+    ply, probe, read_mesh, read_particles, read_provenance, usda, usdc, vdb, vtk,
 };
 use serde::Serialize;
 
 use crate::pipeline::{
-    FrameError, USD_STAGE_FRAMES, file_of, frames_in, frames_in_unless, is_absent, measure_spacing,
-    open_regular, read_file, read_regular, step_of,
+    FrameError, USD_STAGE_FRAMES, file_of, frames_in, frames_in_unless, has_container_frames, is_absent,
+    measure_spacing, open_regular, read_file, read_regular, step_of, time_of_frame,
 };
 
 use crate::surface::options::SpacingOptions;
@@ -45,6 +45,9 @@ struct FileInfo {
     #[serde(skip_serializing_if = "Option::is_none")]
     packed: Option<&'static str>,
     bytes: usize,
+    /// The time of the frame in seconds, if the file states it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time: Option<f64>,
     /// Warnings for the user about a file that was read.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     notes: Vec<String>,
@@ -165,20 +168,30 @@ impl FileInfo {
         let bytes = if step_of(path).is_some() {
             read_file(path).map_err(|error| reason(&error))?
         } else {
-            // A file with too many frames is refused before it is read as a whole.
-            frames_in(path)?;
+            // A file with too many frames is refused before it is read as a whole. It may also be a mesh.
+            match frames_in(path) {
+                Err(meniscus_formats::Error::Unsupported { .. }) => {}
+                frames => drop(frames?),
+            }
             if self.fill_large_sequence(path)? {
                 return Ok(());
             }
-            read_regular(path)?
+            match has_container_frames(path) {
+                true => read_file(path).map_err(|error| reason(&error))?,
+                false => read_regular(path)?,
+            }
         };
+        self.time = time_of_frame(path);
         self.fill_content(path, &bytes)
     }
 
     /// Describes the content of a file.
     fn fill_content(&mut self, path: &Path, bytes: &[u8]) -> Result<()> {
         let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
-        let Probe { kind, codec } = probe(bytes, &name);
+        let Probe { kind, codec } = match format_of_packed(bytes) {
+            Some(format) => Probe { kind: ProbedKind::Format(format), codec: None },
+            None => probe(bytes, &name),
+        };
         self.kind = kind.name().to_owned();
         self.gzipped = codec == Some(Codec::Gzip);
         self.packed = codec.map(Codec::adjective);
@@ -363,6 +376,7 @@ impl fmt::Display for FileInfo {
         write!(f, "{}: {}{packed}, {} bytes", escaped(&self.file), self.kind, self.bytes)?;
         self.sequence.iter().try_for_each(|sequence| write!(f, "{sequence}"))?;
         self.mesh.iter().try_for_each(|mesh| write!(f, "{mesh}"))?;
+        self.time.iter().try_for_each(|time| row(f, "time", format_args!("{} s", shortest(*time))))?;
         self.particles.iter().try_for_each(|particles| write!(f, "{particles}"))?;
         for grid in self.grids.iter().flatten() {
             write!(f, "{grid}")?;

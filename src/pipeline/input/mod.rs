@@ -3,8 +3,10 @@
 //! ```text
 //!   source      groups files into sequences of frames    steps        files with several frames
 //!   frame       frames to convert, and their outcomes    bounds       bounding boxes of frames and sequences
+//!   frame_rate  the frame rate by the times of frames
 //!   frame_input  particles in memory or on disk, or a level set
 //!   reading     reads files and parses particles         attributes   the attributes that a frame needs
+//!   container   files with frames that are not ranges of bytes, and the files that they name
 //!   filter      chooses particles by their attributes
 //!   around      the frames before and after a frame
 //!   level_set_file  level sets from .vdb                 mesh_file    meshes of any supported format
@@ -18,9 +20,11 @@ pub(super) mod around;
 pub(super) mod attributes;
 pub(super) mod bounds;
 pub(super) mod conflicts;
+pub(super) mod container;
 pub(super) mod filter;
 pub(super) mod frame;
 pub(super) mod frame_input;
+pub(super) mod frame_rate;
 pub(super) mod level_set_file;
 pub(super) mod measured_spacing;
 pub(super) mod mesh_file;

@@ -14,8 +14,9 @@ use twox_hash::XxHash3_128;
 use crate::surface::particles::{OwnedPositions, ParticleCloud, Shapes};
 
 use super::attributes::AttributeRequest;
+use super::container::is_container_file;
 use super::filter::{keep_chosen, several_kinds};
-use super::steps::{IndexPolicy, by_lines_of_file, file_of, read_step, step_of};
+use super::steps::{IndexPolicy, by_lines_of_file, file_of, read_only_frame, read_step, step_of};
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::{InputFile, read_unchanged};
 use crate::pipeline::files::open::{open_regular, read_regular};
@@ -33,21 +34,23 @@ pub struct ParsedParticles {
     pub unused_velocity: Option<String>,
 }
 
-/// The bytes of a file, or of a step of a file.
+/// The bytes of a file, or of a step of a file: those of a container are packed.
 ///
 /// # Errors
 /// When the system reports an error.
 pub fn read_file(path: &Path) -> Result<Vec<u8>, FrameError> {
     let fail = |error: meniscus_formats::Error| FrameError::file(path, Stage::Read, error);
-    match step_of(path) {
+    let read = match step_of(path) {
+        None if is_container_file(path) => read_only_frame(path, IndexPolicy::OnRead),
         None => {
             refuse_large_foreign(path).map_err(fail)?;
-            read_regular(path).map_err(|error| fail(error.into()))
+            return read_regular(path).map_err(|error| fail(error.into()));
         }
-        Some((file, step)) => match read_step(file, step, IndexPolicy::OnRead).map_err(fail)? {
-            Some((bytes, _)) => Ok(bytes),
-            None => Err(FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Changed }),
-        },
+        Some((file, step)) => read_step(file, step, IndexPolicy::OnRead),
+    };
+    match read.map_err(fail)? {
+        Some((bytes, _)) => Ok(bytes),
+        None => Err(FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Changed }),
     }
 }
 
@@ -61,6 +64,7 @@ pub(crate) fn read_frame_unchanged(
     index_policy: IndexPolicy,
 ) -> meniscus_formats::Result<Option<(Vec<u8>, FileStamp)>> {
     match step_of(path) {
+        None if is_container_file(path) => read_only_frame(path, index_policy),
         None => {
             refuse_large_foreign(path)?;
             Ok(read_unchanged(path)?)
@@ -141,7 +145,12 @@ pub fn hash_of_input(path: &Path) -> Result<u128, Error> {
 /// Like [`hash_of_input`], with the stamp of the file.
 pub(crate) fn hash_and_stamp(path: &Path, index_policy: IndexPolicy) -> Result<(u128, FileStamp), Error> {
     let changed = || io::Error::other("the file changed while it was read");
-    let Some((file, step)) = step_of(path) else {
+    let read = match step_of(path) {
+        Some((file, step)) => Some(read_step(file, step, index_policy)?),
+        None if is_container_file(path) => Some(read_only_frame(path, index_policy)?),
+        None => None,
+    };
+    let Some(read) = read else {
         let file = InputFile::open(path)?;
         if !file.is_regular() {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file").into());
@@ -149,6 +158,6 @@ pub(crate) fn hash_and_stamp(path: &Path, index_policy: IndexPolicy) -> Result<(
         let hash = file.hash()?;
         return if file.is_unchanged()? { Ok((hash, file.stamp())) } else { Err(changed().into()) };
     };
-    let (bytes, stamp) = read_step(file, step, index_policy)?.ok_or_else(changed)?;
+    let (bytes, stamp) = read.ok_or_else(changed)?;
     Ok((XxHash3_128::oneshot(&bytes), stamp))
 }

@@ -364,6 +364,12 @@ pub fn promises_particles(name: &str) -> bool {
     has_particle_extension(name) && !may_be_any_text
 }
 
+/// Whether a file, or a pattern for files, has the extension of lists of files, such as `.pvd`.
+pub fn is_named_list(path: &Path) -> bool {
+    let extension = path.extension().unwrap_or_default();
+    Format::VtkIndex.extensions().iter().any(|known| extension.eq_ignore_ascii_case(known))
+}
+
 /// The file name without its particle extension, if it has one. The content of a file determines its format;
 /// extensions only determine where the stem ends, and which files in a folder are frames.
 fn stem(name: &str) -> &str {

@@ -4,6 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use meniscus_formats::compression::read_head;
+use meniscus_formats::container::is_container;
 use meniscus_formats::{Content, Format, Neighbor, looks_like_particles, neighbor, probe, read_provenance};
 
 use super::provenance::{HEAD_BYTES, are_particles};
@@ -12,6 +13,7 @@ use crate::pipeline::files::open::open_regular;
 use crate::pipeline::input::frame::Job;
 use crate::pipeline::input::level_set_file::is_level_set;
 use crate::pipeline::input::source::promises_particles;
+use crate::pipeline::input::steps::{ContainerContent, content_of_container};
 use crate::pipeline::target::outputs::{OutputOptions, output_path};
 
 /// The kind of a file, by its first bytes.
@@ -53,8 +55,17 @@ pub fn content(path: &Path) -> io::Result<SniffedContent> {
     if let Some(own) = own_content(&head, &name) {
         return Ok(own);
     }
+    let kind = probe(&head, &name).kind;
+    // If its structure cannot be read, reading it reports what is wrong.
+    let found = is_container(kind).then(|| content_of_container(path).unwrap_or(ContainerContent::Frames));
+    if found == Some(ContainerContent::Frames) {
+        return Ok(SniffedContent::Particles);
+    }
     if let Some(neighbor) = neighbor(&head, &name, &InputFile::open(path)?) {
         return Ok(SniffedContent::Neighbor(neighbor));
+    }
+    if found == Some(ContainerContent::NoParticles) {
+        return Ok(SniffedContent::NotParticles);
     }
     let promises = promises_particles(&name) || is_level_set(path);
     let is_frame = promises || looks_like_particles(&head, &name);

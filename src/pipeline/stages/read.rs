@@ -16,6 +16,7 @@ use crate::pipeline::error::{Cause, Conflict, FrameError, Stage};
 use crate::pipeline::files::input_file::{InputFile, read_unchanged};
 use crate::pipeline::input::around::{self, FoundFrame, find_around};
 use crate::pipeline::input::attributes::AttributeRequest;
+use crate::pipeline::input::container::is_container_file;
 use crate::pipeline::input::frame::{Frame, InputState, Job, Outcome, Seconds};
 use crate::pipeline::input::frame_input::{FileParticles, FrameInput, LevelSetInput, read_level_set};
 use crate::pipeline::input::level_set_file::{level_set_limits, other_grids};
@@ -252,7 +253,8 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             return Ok(None);
         }
         let file = InputFile::open(&frame.input)?;
-        Ok((file.is_regular() && file.stamp().size >= STREAMED_FROM_BYTES).then_some(file))
+        let is_large = file.is_regular() && file.stamp().size >= STREAMED_FROM_BYTES;
+        Ok((is_large && !is_container_file(&frame.input)).then_some(file))
     }
 
     /// Ends a frame that is done already, if such frames are skipped.

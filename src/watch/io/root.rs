@@ -14,13 +14,13 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crossbeam::channel::Receiver;
-use meniscus_formats::{Completeness, completeness};
+use meniscus_formats::{Completeness, Neighbor, completeness};
 
 use crate::pipeline::{
     ChangedOutput, Conflict, FileId, FileStamp, ObstacleFiles, ObstacleStamps, SniffedContent, content,
     may_hold_several, open_regular,
 };
-use crate::watch::config::{Poll, StabilityTimeouts, Watch, WatchConfig};
+use crate::watch::config::{Poll, StabilityTimeouts, Watch, WatchConfig, names_lists};
 use crate::watch::core::completeness::{
     Candidate, FileHint, Readiness, Sentinel, may_be_sentinel, path_of_sentinel, sentinel_counts,
 };
@@ -456,7 +456,7 @@ impl Root {
                 Readiness::Waiting { until, why } => return InspectionResult::Waiting { until, why },
             }
         }
-        let contents = contents_of(id);
+        let contents = contents_of(id, &self.watch);
         let conflict = match contents {
             FileContents::Frame | FileContents::MaybeSteps => {
                 match self.conflict_of(outputs) {
@@ -507,8 +507,10 @@ fn has_recorded_obstacles(check: &RecordCheck, obstacles: Option<&ObstacleStamps
     !check.checks_obstacles || check.record.obstacle_stamp() == obstacles.map(obstacle_stamp).as_ref()
 }
 
-fn contents_of(id: &FrameId) -> FileContents {
+fn contents_of(id: &FrameId, watch: &Watch) -> FileContents {
     match content(id.file_path()) {
+        // The pattern asks for lists of files, and not for the files.
+        Ok(SniffedContent::Neighbor(Neighbor::Index)) if names_lists(watch.pattern.as_deref()) => {}
         Ok(SniffedContent::OwnOutput | SniffedContent::NotParticles) => return FileContents::NotParticles,
         Ok(SniffedContent::Neighbor(neighbor)) => return FileContents::Neighbor(neighbor),
         // An unreadable file counts as a frame: reading it reports what is wrong.

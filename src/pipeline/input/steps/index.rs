@@ -19,12 +19,14 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use meniscus_formats::compression::{decompressed, read_head};
+use meniscus_formats::container::is_container;
 use meniscus_formats::steps::{FoundStep, find_more_steps, find_steps, may_have_steps};
 use meniscus_formats::{Limits, Probe, ProbedKind, Result, probe};
 use twox_hash::XxHash3_128;
 
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::stamp::FileStamp;
+use crate::pipeline::input::container::{ContainerFrame, OpenContainer};
 
 /// The index of a file.
 #[derive(Debug)]
@@ -41,6 +43,8 @@ pub(super) struct StepIndex {
     /// `None` if the file is compressed, or shrank during the pass: then a later pass cannot check whether
     /// the file was appended to.
     edges: Option<FileEnds>,
+    /// The frames of a container, one for each step.
+    container: Option<Vec<ContainerFrame>>,
     /// Earlier states of the file, the latest last, with the number of leading steps that are unchanged
     /// since.
     before: Vec<(FileStamp, usize)>,
@@ -87,7 +91,16 @@ impl StepIndex {
         // Limits keep the number of steps far below 2³².
         let mut by_name: Vec<u32> = (0..steps.len() as u32).collect();
         by_name.sort_by_key(|&index| steps[index as usize].key());
-        StepIndex { stamp, unpacking_bytes: None, steps, by_name, kind, edges: None, before: Vec::new() }
+        StepIndex {
+            stamp,
+            unpacking_bytes: None,
+            steps,
+            by_name,
+            kind,
+            edges: None,
+            container: None,
+            before: Vec::new(),
+        }
     }
 
     /// The index of a file without steps.
@@ -97,15 +110,43 @@ impl StepIndex {
 
     /// The step with this name.
     pub(super) fn step(&self, name: &str) -> io::Result<&FoundStep> {
+        Ok(&self.steps[self.index_of(name)?].found)
+    }
+
+    /// The index of the step with this name.
+    pub(super) fn index_of(&self, name: &str) -> io::Result<usize> {
         let step_at = |index: &u32| &self.steps[*index as usize];
         let found = key_of(name).and_then(|key| {
             let rank = self.by_name.binary_search_by_key(&key, |index| step_at(index).key()).ok()?;
             // `7` and `07` have the same key, but only `7` is the name of a step.
-            Some(step_at(&self.by_name[rank])).filter(|step| step.name() == name)
+            Some(self.by_name[rank] as usize).filter(|index| self.steps[*index].name() == name)
         });
-        found.map(|step| &step.found).ok_or_else(|| {
+        found.ok_or_else(|| {
             io::Error::new(io::ErrorKind::NotFound, format!("there is no step {name} in the file"))
         })
+    }
+
+    /// Whether the file is a container: its steps are not ranges of its bytes.
+    pub(super) fn is_container(&self) -> bool {
+        self.container.is_some()
+    }
+
+    /// The frames of a container; empty for other files.
+    pub(super) fn frames_of_container(&self) -> &[ContainerFrame] {
+        self.container.as_deref().unwrap_or_default()
+    }
+
+    /// The time of a step in seconds, if the file states it.
+    pub(super) fn time_of(&self, index: usize) -> Option<f64> {
+        self.frames_of_container().get(index)?.sample.time
+    }
+
+    /// Notes that the first `kept_count` steps are as they were in an earlier state.
+    fn keep(&mut self, before: &StepIndex, kept_count: usize) {
+        let earlier = before.before.iter().map(|&(stamp, count)| (stamp, count.min(kept_count)));
+        self.before = earlier.chain([(before.stamp, kept_count)]).collect();
+        let surplus = self.before.len().saturating_sub(BEFORE_MAX);
+        self.before.drain(..surplus);
     }
 
     /// The number of leading steps that are unchanged since the file had this stamp.
@@ -140,6 +181,9 @@ pub(super) fn index_steps(
     let mut file = open_regular(path)?;
     let stamp = FileStamp::of(&file.metadata()?);
     let Probe { kind, codec } = probe_head(&mut file, path)?;
+    if is_container(kind) {
+        return index_container(path, before, stamp);
+    }
     if !may_have_steps(kind) {
         return Ok(StepIndex::none(stamp));
     }
@@ -163,12 +207,31 @@ pub(super) fn index_steps(
     let head = before.and_then(|before| before.edges.as_ref()).map(|edges| edges.head);
     contents.edges = source.edges(start, head).filter(|edges| edges.tail.end == stamp.size);
     if let Some(before) = before {
-        let kept_count = before.steps.len() - 1;
-        let earlier = before.before.iter().map(|&(stamp, count)| (stamp, count.min(kept_count)));
-        contents.before = earlier.chain([(before.stamp, kept_count)]).collect();
-        let surplus = contents.before.len().saturating_sub(BEFORE_MAX);
-        contents.before.drain(..surplus);
+        contents.keep(before, before.steps.len() - 1);
     }
+    Ok(contents)
+}
+
+/// Indexes the frames of a container. A frame that is read from other files is unchanged if these are; others must be
+/// read to know.
+fn index_container(path: &Path, before: Option<&StepIndex>, stamp: FileStamp) -> Result<StepIndex> {
+    let Some(file) = OpenContainer::open(path)? else { return Ok(StepIndex::none(stamp)) };
+    let frames = file.frames()?;
+    let found = |frame: &ContainerFrame| FoundStep {
+        number: Some(frame.sample.number),
+        head: [].into(),
+        range: 0..frame.size_bytes,
+        lines_before: 0,
+    };
+    let mut contents = StepIndex::new(file.stamp(), file.kind(), frames.iter().map(found).collect());
+    if let Some(before) = before
+        && let Some(frames_before) = &before.container
+    {
+        let is_kept =
+            |(now, before): &(&ContainerFrame, &ContainerFrame)| now.files.is_some() && now == before;
+        contents.keep(before, frames.iter().zip(frames_before).take_while(is_kept).count());
+    }
+    contents.container = Some(frames);
     Ok(contents)
 }
 

@@ -27,6 +27,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use meniscus_formats::compression::decompressed;
+use meniscus_formats::container::is_container;
 use meniscus_formats::steps::{FoundStep, may_have_steps};
 use meniscus_formats::{Error, Limits, ReadAt, Result};
 use twox_hash::XxHash3_128;
@@ -36,8 +37,9 @@ use crate::pipeline::files::names::text_of_name;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::stamp::FileStamp;
 
+use super::container::{OpenContainer, is_container_file};
 use cache::{cached_index, index_unless, index_unless_changed};
-use index::{StepIndex, UNNUMBERED, probe_head};
+use index::{FileStep, StepIndex, UNNUMBERED, probe_head};
 
 /// The prefix of the last part of a step's path; the name of the step follows.
 pub(crate) const STEP: &str = "step=";
@@ -137,7 +139,11 @@ pub fn frames_in_unless(file: &Path, is_over: &AtomicBool) -> Result<FileFrames>
 /// # Errors
 /// When the system reports an error.
 pub fn may_hold_several(file: &Path) -> io::Result<bool> {
-    Ok(file.metadata()?.is_file() && may_have_steps(probe_head(&mut open_regular(file)?, file)?.kind))
+    if !file.metadata()?.is_file() {
+        return Ok(false);
+    }
+    let kind = probe_head(&mut open_regular(file)?, file)?.kind;
+    Ok(may_have_steps(kind) || is_container(kind))
 }
 
 /// Whether a frame is a step that does not exist in its file. A file with a single step has no paths of
@@ -190,12 +196,89 @@ impl IndexPolicy {
 
 /// The memory for reading a frame, in bytes; 0 if the frame cannot be read.
 pub(crate) fn reading_bytes(frame: &Path, by: IndexPolicy) -> u64 {
-    let Some((file, step)) = step_of(frame) else {
-        return frame.metadata().map_or(0, |metadata| metadata.len());
+    let (file, step) = match step_of(frame) {
+        Some((file, step)) => (file, Some(step)),
+        None if is_container_file(frame) => (frame, None),
+        None => return frame.metadata().map_or(0, |metadata| metadata.len()),
     };
     let Ok(Some(contents)) = by.index(file) else { return 0 };
-    let Ok(FoundStep { range, .. }) = contents.step(step) else { return 0 };
+    let found = match step {
+        Some(step) => contents.step(step).ok(),
+        None => contents.steps.first().map(|step| &step.found),
+    };
+    let Some(FoundStep { range, .. }) = found else { return 0 };
     contents.unpacking_bytes.unwrap_or(range.end - range.start)
+}
+
+/// The times of the steps of a file in seconds, with their numbers; `None` if the file does not state them.
+pub(crate) fn times_of_steps(file: &Path) -> Option<Vec<(i64, f64)>> {
+    let contents = step_index(file).ok()?;
+    let of_step = |(index, step): (usize, &FileStep)| Some((step.found.number?, contents.time_of(index)?));
+    contents.steps.iter().enumerate().map(of_step).collect()
+}
+
+/// The time of a frame in seconds, if its file states it.
+pub fn time_of_frame(frame: &Path) -> Option<f64> {
+    let (file, step) = step_of(frame).map_or((frame, None), |(file, step)| (file, Some(step)));
+    let contents = step_index(file).ok()?;
+    contents.time_of(step.map_or(Ok(0), |step| contents.index_of(step)).ok()?)
+}
+
+/// What a container has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum ContainerContent {
+    /// No particles.
+    NoParticles,
+    /// Names of files beside it, each of which is a frame: converting both would convert each frame twice.
+    List,
+    /// Frames.
+    Frames,
+}
+
+/// What a container has, by its structure.
+///
+/// # Errors
+/// When the structure cannot be read.
+pub(crate) fn content_of_container(file: &Path) -> Result<ContainerContent> {
+    let found = step_index(file);
+    Ok(match found.as_ref().map(|contents| contents.frames_of_container()) {
+        Ok([]) | Err(Error::Unsupported { .. }) => ContainerContent::NoParticles,
+        Ok(frames) if frames.iter().all(|frame| frame.is_file_beside) => ContainerContent::List,
+        Ok(_) => ContainerContent::Frames,
+        Err(_) => return found.map(|_| ContainerContent::Frames),
+    })
+}
+
+/// Whether a file is a container with frames, as far as its structure can be read.
+pub fn has_container_frames(file: &Path) -> bool {
+    is_container_file(file)
+        && content_of_container(file).is_ok_and(|content| content != ContainerContent::NoParticles)
+}
+
+/// The packed bytes of the only frame of a container, and the stamp of its file; `None` if the file, or one that
+/// it names, was written, replaced or removed meanwhile.
+///
+/// # Errors
+/// Those of [`read_step`]; [`Error::Unsupported`] if there are several frames.
+pub(crate) fn read_only_frame(file: &Path, by: IndexPolicy) -> Result<Option<(Vec<u8>, FileStamp)>> {
+    let Some(contents) = by.index(file)? else { return Ok(None) };
+    if let [first, .., last] = &contents.steps[..] {
+        let what = format!(
+            "the file has {} frames: name one, from {STEP}{} to {STEP}{}, as if the file were their folder",
+            contents.steps.len(),
+            first.name(),
+            last.name()
+        );
+        return Err(Error::unsupported("", what));
+    }
+    read_sample(file, 0, &contents)
+}
+
+/// Like [`read_step`], of a container.
+fn read_sample(file: &Path, index: usize, contents: &StepIndex) -> Result<Option<(Vec<u8>, FileStamp)>> {
+    let open = OpenContainer::open(file)?.filter(|open| open.stamp() == contents.stamp);
+    let Some(open) = open else { return Ok(None) };
+    Ok(open.packed(index)?.map(|bytes| (bytes, contents.stamp)))
 }
 
 /// The bytes of a step, and the stamp of its file; `None` if the file was written, replaced or removed
@@ -205,6 +288,9 @@ pub(crate) fn reading_bytes(frame: &Path, by: IndexPolicy) -> u64 {
 /// When the system reports an error, the file has no such step, or the step cannot be decompressed.
 pub(crate) fn read_step(file: &Path, step: &str, by: IndexPolicy) -> Result<Option<(Vec<u8>, FileStamp)>> {
     let Some(contents) = by.index(file)? else { return Ok(None) };
+    if contents.is_container() {
+        return read_sample(file, contents.index_of(step)?, &contents);
+    }
     let FoundStep { head, range, .. } = contents.step(step)?.clone();
     let input = InputFile::open(file)?;
     if input.stamp() != contents.stamp {

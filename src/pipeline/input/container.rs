@@ -1,0 +1,208 @@
+//! Open containers: files with frames that are not ranges of their bytes, and that may name further files.
+//!
+//! ```text
+//!   run.pvd            opened, and its stamp compared after the read
+//!   run/water_0.vtu    named by it: opened when a frame is read, and compared in the same way
+//! ```
+//!
+//! A frame becomes bytes that depend on its particles only, so appended frames change no other. Compressed files are
+//! decompressed into memory; others may be larger than memory.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use meniscus_formats::compression::{decompressed, read_head};
+use meniscus_formats::container::{self, is_container};
+use meniscus_formats::{Codec, ContainerFile, Limits, Probe, ProbedKind, ReadAt, Result, Sample, probe};
+use twox_hash::xxhash3_128::Hasher;
+
+use crate::pipeline::files::input_file::InputFile;
+use crate::pipeline::files::open::open_regular;
+use crate::pipeline::files::stamp::FileStamp;
+
+/// Enough bytes to recognize the format.
+const HEAD_BYTES: u64 = 8 << 10;
+
+/// More than the first block of a file that zstd compressed, without which nothing is known of its content.
+const ZSTD_HEAD_BYTES: u64 = 1 << 18;
+
+/// Whether a file is a container, by its first bytes; false for a file that cannot be opened, and for a pipe, whose
+/// bytes can be read only once.
+pub(crate) fn is_container_file(path: &Path) -> bool {
+    let is_regular = path.metadata().is_ok_and(|metadata| metadata.is_file());
+    let head = || open_regular(path).and_then(|file| read_head(file, HEAD_BYTES));
+    is_regular && head().is_ok_and(|head| is_container(probe(&head, &name_of(path)).kind))
+}
+
+fn name_of(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// A frame of a container, and the state of the files that it is read from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct ContainerFrame {
+    pub(super) sample: Sample,
+    /// A hash of the paths and the stamps of the files that it is read from; `None` if it is read from the container.
+    pub(super) files: Option<u128>,
+    /// Whether it is read from a single file beside the container, which could be given in its place.
+    pub(super) is_file_beside: bool,
+    /// An estimate of the size of its packed bytes, rather too large.
+    pub(super) size_bytes: u64,
+}
+
+/// An open container.
+pub(super) struct OpenContainer {
+    kind: ProbedKind,
+    name: String,
+    folder: PathBuf,
+    file: Arc<InputFile>,
+    /// The content, if the file is compressed.
+    unpacked: Option<Arc<[u8]>>,
+    /// The files that it names and that were opened.
+    further: Mutex<Vec<Arc<InputFile>>>,
+}
+
+impl OpenContainer {
+    /// Opens a file; `None` if it is not a container.
+    ///
+    /// # Errors
+    /// When the file cannot be opened or decompressed.
+    pub(super) fn open(path: &Path) -> Result<Option<OpenContainer>> {
+        let file = Arc::new(InputFile::open(path)?);
+        let name = name_of(path);
+        let Probe { kind, .. } = probe(&head_of(&file)?, &name);
+        if !file.is_regular() || !is_container(kind) {
+            return Ok(None);
+        }
+        let unpacked = unpacked(&file)?;
+        let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+        Ok(Some(OpenContainer { kind, name, folder, file, unpacked, further: Mutex::default() }))
+    }
+
+    /// The stamp of the file when it was opened.
+    pub(super) fn stamp(&self) -> FileStamp {
+        self.file.stamp()
+    }
+
+    pub(super) fn kind(&self) -> ProbedKind {
+        self.kind
+    }
+
+    /// The frames with particles.
+    ///
+    /// # Errors
+    /// When the structure of the file cannot be read, or it is a file without particles.
+    pub(super) fn frames(&self) -> Result<Vec<ContainerFrame>> {
+        let limits = Limits::default();
+        let samples = self.with(|file| container::samples(self.kind, file, &limits))?;
+        let files = self.with(|file| container::further_files(self.kind, file, &limits))?;
+        let own_bytes = self.own_bytes().saturating_mul(PACKED_FACTOR) / samples.len().max(1) as u64;
+        let frame = |(index, sample): (usize, Sample)| {
+            let paths = files.as_ref().and_then(|files| files.get(index));
+            let is_file_beside =
+                paths.is_some_and(|paths: &Vec<String>| matches!(&paths[..], [path] if is_beside(path)));
+            let files = paths.map(|paths| self.state_of(paths));
+            let (files, bytes) = files.map_or((None, own_bytes), |(hash, bytes)| (Some(hash), bytes));
+            // A compressed container is in memory whole.
+            let unpacked_bytes = self.unpacked.as_ref().map_or(0, |bytes| bytes.len() as u64);
+            ContainerFrame { sample, files, is_file_beside, size_bytes: bytes.saturating_add(unpacked_bytes) }
+        };
+        Ok(samples.into_iter().enumerate().map(frame).collect())
+    }
+
+    /// The size of the content, which may be in memory.
+    fn own_bytes(&self) -> u64 {
+        self.unpacked.as_ref().map_or(self.stamp().size, |bytes| bytes.len() as u64)
+    }
+
+    /// A hash of the paths and stamps of files that the container names, and the memory for reading them.
+    fn state_of(&self, paths: &[String]) -> (u128, u64) {
+        let (mut hasher, mut bytes) = (Hasher::new(), 0u64);
+        for path in paths {
+            let stamp = FileStamp::of_path(&self.folder.join(path)).ok();
+            hasher.write(path.as_bytes());
+            hasher.write(format!("\0{:?}\0", stamp.map(|stamp| stamp.without_status_change())).as_bytes());
+            bytes = bytes.saturating_add(stamp.map_or(0, |stamp| stamp.size));
+        }
+        (hasher.finish_128(), bytes.saturating_mul(PACKED_FACTOR))
+    }
+
+    /// The packed bytes of a frame; `None` if one of the files was written, replaced or removed meanwhile.
+    ///
+    /// # Errors
+    /// When the frame cannot be read.
+    pub(super) fn packed(&self, index: usize) -> Result<Option<Vec<u8>>> {
+        let packed = self.with(|file| container::packed(self.kind, file, index, &Limits::default()));
+        let further = std::mem::take(&mut *self.lock_further());
+        for file in further.iter().chain([&self.file]) {
+            if !file.is_unchanged()? {
+                return Ok(None);
+            }
+        }
+        packed.map(Some)
+    }
+
+    /// Calls a function of the reader.
+    fn with<T>(&self, work: impl FnOnce(&ContainerFile) -> Result<T>) -> Result<T> {
+        let in_memory: Option<&dyn ReadAt> = self.unpacked.as_ref().map(|bytes| bytes as &dyn ReadAt);
+        let open = |path: &str| self.open_further(path);
+        work(&ContainerFile { file: in_memory.unwrap_or(&*self.file), name: &self.name, open: &open })
+    }
+
+    /// Opens a file that the container names, by its path relative to the folder.
+    fn open_further(&self, path: &str) -> io::Result<Box<dyn ReadAt>> {
+        let file = Arc::new(InputFile::open(&self.folder.join(path))?);
+        self.lock_further().push(Arc::clone(&file));
+        match unpacked(&file).map_err(io::Error::other)? {
+            Some(bytes) => Ok(Box::new(bytes)),
+            None => Ok(Box::new(file)),
+        }
+    }
+
+    fn lock_further(&self) -> std::sync::MutexGuard<'_, Vec<Arc<InputFile>>> {
+        self.further.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Whether a file is in the folder of the container that names it by this path.
+fn is_beside(path: &str) -> bool {
+    !path.contains('/')
+}
+
+/// The files beside a container that it joins to frames: they are no frames of their own.
+pub fn files_joined_by(path: &Path) -> Vec<PathBuf> {
+    let files = OpenContainer::open(path).and_then(|open| {
+        let limits = Limits::default();
+        let files = open.map(|open| open.with(|file| container::further_files(open.kind, file, &limits)));
+        Ok(files.transpose()?.flatten().unwrap_or_default())
+    });
+    let beside = files.unwrap_or_default().into_iter().flatten().filter(|path| is_beside(path));
+    beside.map(|name| path.with_file_name(name)).collect()
+}
+
+/// Packed bytes as a multiple of the bytes of files: compressed arrays are rarely smaller than a third.
+const PACKED_FACTOR: u64 = 3;
+
+fn head_of(file: &InputFile) -> io::Result<Vec<u8>> {
+    let head = |bytes: u64| bytes_of(file, file.stamp().size.min(bytes));
+    match head(HEAD_BYTES)? {
+        bytes if probe(&bytes, "").codec == Some(Codec::Zstd) => head(ZSTD_HEAD_BYTES),
+        bytes => Ok(bytes),
+    }
+}
+
+fn bytes_of(file: &InputFile, length: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = vec![0; usize::try_from(length).map_err(io::Error::other)?];
+    file.read_exact_at(&mut bytes, 0)?;
+    Ok(bytes)
+}
+
+/// The content of a compressed file; `None` for other files.
+fn unpacked(file: &InputFile) -> Result<Option<Arc<[u8]>>> {
+    if probe(&head_of(file)?, "").codec.is_none() {
+        return Ok(None);
+    }
+    let bytes = bytes_of(file, file.stamp().size)?;
+    Ok(Some(decompressed(&bytes, &Limits::default())?.into()))
+}
