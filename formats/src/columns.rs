@@ -114,6 +114,34 @@ pub fn with_role(name: String, arity: usize, role: Option<AttributeRole>, values
     attribute
 }
 
+/// The values of an attribute that a text contains only as integers, in the narrowest type that fits all. For
+/// some roles they are reals that were printed without decimals.
+pub(crate) fn of_integers(integers: Vec<i64>, role: Option<AttributeRole>) -> Values {
+    let are_within = |low: i64, high: i64| integers.iter().all(|value| (low..=high).contains(value));
+    let are_reals = match role {
+        Some(
+            AttributeRole::Velocity
+            | AttributeRole::Acceleration
+            | AttributeRole::Normal
+            | AttributeRole::Radius
+            | AttributeRole::Density
+            | AttributeRole::Mass,
+        ) => true,
+        // A colour with only the values 0 and 1 probably has floats.
+        Some(AttributeRole::Color) => are_within(0, 1),
+        Some(AttributeRole::Id | AttributeRole::Kind) | None => false,
+    };
+    if are_reals {
+        Values::F64(integers.into_iter().map(|value| value as f64).collect())
+    } else if role == Some(AttributeRole::Color) && are_within(0, u8::MAX.into()) {
+        Values::U8(integers.into_iter().filter_map(|value| u8::try_from(value).ok()).collect())
+    } else if are_within(i32::MIN.into(), i32::MAX.into()) {
+        Values::I32(integers.into_iter().filter_map(|value| i32::try_from(value).ok()).collect())
+    } else {
+        Values::I64(integers)
+    }
+}
+
 /// The known names of attributes with this role, in lower case, best first.
 pub fn aliases(role: AttributeRole) -> &'static [&'static str] {
     ROLES.iter().find(|(named, _)| *named == role).map_or(&[], |(_, aliases)| aliases)

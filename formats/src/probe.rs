@@ -11,6 +11,7 @@ use std::ops::Range;
 
 use crate::compression::{Codec, name_without_compression};
 use crate::csv;
+use crate::json;
 use crate::neighbor::Neighbor;
 use crate::table::Format;
 use crate::text::{Lines, parse_number};
@@ -112,6 +113,10 @@ pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
             Some(codec) => csv::looks_like_particles(&codec.decompress_head(head, HEAD_BYTES)),
             None => csv::looks_like_particles(head),
         },
+        ProbedKind::Format(Format::Json) => match Codec::of(head) {
+            Some(codec) => json::looks_like_particles(&codec.decompress_head(head, HEAD_BYTES)),
+            None => json::looks_like_particles(head),
+        },
         kind => kind.format().is_some_and(Format::has_particles),
     }
 }
@@ -132,6 +137,11 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
     }
     if let Some(&(_, name)) = FOREIGN_SIGNATURES.iter().find(|(signature, _)| head.starts_with(signature)) {
         return ProbedKind::Foreign(name);
+    }
+    if (head.starts_with(b"FOR4") || head.starts_with(b"FOR8"))
+        && contains(&head[..head.len().min(32)], b"CACH")
+    {
+        return ProbedKind::Foreign(MAYA_CACHE);
     }
     if head.starts_with(b"PK\x03\x04") {
         let is_npz = name.ends_with(".npz") || first_member(head).is_some_and(|name| name.ends_with(b".npy"));
@@ -228,7 +238,7 @@ fn json_kind(text: &[u8], name: &str) -> ProbedKind {
     if name.ends_with(".gltf") || gltf_keys.iter().any(|key| contains(text, key)) {
         return ProbedKind::Format(Format::Gltf);
     }
-    ProbedKind::Foreign("JSON")
+    ProbedKind::Format(Format::Json)
 }
 
 /// Text contains no control characters except white space. Bytes above 127 can belong to any encoding.
@@ -364,16 +374,25 @@ const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
     (b"CDF\x01", "netCDF"),
     (b"CDF\x02", "netCDF"),
     (b"NanoVDB", "NanoVDB"),
-    (b"\xc0PRT\r\n\x1a\n", "Krakatoa PRT"),
-    (b"\xda\xba\xfa\0", "RealFlow BIN"),
+    (b"\xc0PRT2\r\n\x1a", PRT2),
+    (b"\xda\xba\xfa\0", REALFLOW),
+    (b"\x9e\x02\0\0\x01\0\0\0\0\0\x80\x3f", MAYA_PDB),
+    (b"PDC \0", MAYA_PDC),
+    (b"pptc\0\0\0\0", PTC),
+    (b"pptc\x01\0\0\0", PTC),
+    (b"pptc\x02\0\0\0", PTC),
+    (b"##RenderMan RIB", RIB),
+    (b"version 3.04\n", RIB),
+    (b"ADIOS-BP v", ADIOS),
     (b"#FileJBD ", BI4),
     (b"#File BINX-", BI4),
     (b"#!TDV", TECPLOT),
-    (b"ASTM-E57", "E57"),
-    (b"LASF", "LAS"),
+    (b"ASTM-E57", E57),
+    (b"LASF", LAS),
     (b"MATLAB 5.0 MAT-file", "MATLAB"),
     (b"PAR1", "Parquet"),
-    (b"\x80\x04\x95", "Python pickle"),
+    (b"\x80\x04\x95", PICKLE),
+    (b"\x80\x05\x95", PICKLE),
     (b"\xfd7zXZ\0", "XZ archive"),
     (b"BZh", "bzip2 archive"),
     (b"version https://git-lfs.github.com/spec/", GIT_LFS),
@@ -402,8 +421,30 @@ pub(crate) const REMEDIES: &[(&str, &str)] = &[
         "this is a `write_data` file, and only dumps are supported: write one with `write_dump all custom FILE id type x y z`",
     ),
     (GIT_LFS, "this is only the reference to a file in Git LFS: get the file itself with `git lfs pull`"),
-    (PCD, "point clouds in this format are not supported: save them as PLY, for example with CloudCompare"),
-    (BI4, "data in this format are not supported: convert them with DualSPHysics's PartVTK"),
+    (PCD, SCAN),
+    (E57, SCAN),
+    (LAS, SCAN),
+    (
+        BI4,
+        "data in this format are not supported: convert them with DualSPHysics's PartVTK, to VTK or with -savecsv, or \
+         simulate with -sv:vtk",
+    ),
+    (PRT2, "this is PRT 2, and only 1.0 and 1.1 are supported: save it as PRT 1.1"),
+    (REALFLOW, PARTIO),
+    (MAYA_PDB, PARTIO),
+    (MAYA_PDC, PARTIO),
+    (MAYA_CACHE, PARTIO),
+    (PTC, PARTIO),
+    (RIB, "a scene for RenderMan: give the particles that it was made from, for example as BGEO"),
+    (
+        ADIOS,
+        "data in this format are not supported: write them with ADIOS2's engine HDF5, or save the particles as VTK with \
+         ParaView",
+    ),
+    (
+        PICKLE,
+        "Python objects are not supported: save the positions with numpy.save, or all arrays with numpy.savez",
+    ),
     (GRO, "files of molecules in this format are not supported: save them as XYZ, for example with OVITO"),
     (PDB, "files of molecules in this format are not supported: save them as XYZ, for example with OVITO"),
     (
@@ -420,11 +461,27 @@ pub(crate) const REMEDIES: &[(&str, &str)] = &[
     ),
 ];
 
+const SCAN: &str =
+    "point clouds in this format are not supported: save them as PLY, for example with CloudCompare";
+const PARTIO: &str =
+    "particles in this format are not supported: convert them to BGEO with Partio's partconvert";
+
 /// The output of LAMMPS's `write_data` command.
 const LAMMPS_DATA: &str = "LAMMPS data";
 const GIT_LFS: &str = "Git LFS pointer";
 const PCD: &str = "PCD point cloud";
 const BI4: &str = "DualSPHysics .bi4";
+const PRT2: &str = "Krakatoa PRT 2";
+const REALFLOW: &str = "RealFlow BIN";
+const MAYA_PDB: &str = "Maya .pdb particles";
+const MAYA_PDC: &str = "Maya .pdc particles";
+const MAYA_CACHE: &str = "Maya nCache";
+const PTC: &str = "RenderMan point cloud (.ptc)";
+const RIB: &str = "RenderMan RIB";
+const E57: &str = "E57";
+const LAS: &str = "LAS";
+const ADIOS: &str = "ADIOS2";
+const PICKLE: &str = "Python pickle";
 const GRO: &str = "GROMACS .gro";
 const PDB: &str = "Protein Data Bank .pdb";
 const TECPLOT: &str = "Tecplot";
@@ -472,7 +529,24 @@ mod tests {
             (b"<html>", "a.vtp", ProbedKind::Foreign("XML")),
             (b"{\"asset\":{\"version\":\"2.0\"}}", "a", ProbedKind::Format(Format::Gltf)),
             (b"{\"scene\":0,\n\"asset\":{}, 1 2 3\n", "a", ProbedKind::Format(Format::Gltf)),
-            (b"{\"x\":1}", "a.json", ProbedKind::Foreign("JSON")),
+            (b"{\"x\":1}", "a.json", ProbedKind::Format(Format::Json)),
+            (b"[[1,2,3]", "a", ProbedKind::Format(Format::Json)),
+            (b"[", "a", ProbedKind::Format(Format::Json)),
+            (b"\xef\xbb\xbf {\"positions\": []}", "a", ProbedKind::Format(Format::Json)),
+            (b"\xc0PRT\r\n\x1a\n\x38", "a", ProbedKind::Format(Format::Prt)),
+            (b"\xc0PRT2\r\n\x1a\x03", "a.prt", ProbedKind::Foreign(PRT2)),
+            (b"\xda\xba\xfa\0Circle", "a.bin", ProbedKind::Foreign(REALFLOW)),
+            (b"\x9e\x02\0\0\x01\0\0\0\0\0\x80\x3f\0", "a.pdb", ProbedKind::Foreign(MAYA_PDB)),
+            (b"PDC \0\0\0\x01\0\0\0\x01", "a.pdc", ProbedKind::Foreign(MAYA_PDC)),
+            (b"FOR4\0\0\0(CACHVRSN", "a.mc", ProbedKind::Foreign(MAYA_CACHE)),
+            (b"FOR8\0\0\0\0\0\0\0\0\0\0\0\x28CACHVRSN", "a.mcx", ProbedKind::Foreign(MAYA_CACHE)),
+            (b"FOR4\0\0\0(Maya", "a.mb", ProbedKind::Unknown),
+            (b"pptc\x01\0\0\0\0", "a.ptc", ProbedKind::Foreign(PTC)),
+            (b"##RenderMan RIB-Structure 1.0\n", "a.rib", ProbedKind::Foreign(RIB)),
+            (b"ADIOS-BP v2.10.1 Index Table\0", "md.idx", ProbedKind::Foreign(ADIOS)),
+            (b"LASF\0\0", "a.las", ProbedKind::Foreign(LAS)),
+            (b"ASTM-E57\x01", "a.e57", ProbedKind::Foreign(E57)),
+            (b"\x80\x05\x95\0", "a.pkl", ProbedKind::Foreign(PICKLE)),
             (
                 b"# made by hand\no cube\nv 1 2 3\nvn 0 0 1\nf 1//1 2//1 3//1\n",
                 "a.txt",
@@ -579,6 +653,22 @@ mod tests {
             (b"import os, sys\nx, y, z = 1, 2, 3\n", "sim.py", false),
             (b"# x y z\nprint(1)\n", "sim.py", false),
             (b"{\"x\": [1, 2, 3]}", "settings.json", false),
+            (b"{\"camera\": {\"position\": [[1, 2, 3]]}, \"position\": [1, 2, 3]}", "scene.json", false),
+            (b"{\"position\": [0, 0, 5], \"weights\": [1, 2], \"name\": \"a\"}", "settings.json", false),
+            (b"[]", "a.json", false),
+            (b"[1, 2, 3]", "a.json", false),
+            (b"[[1, 2], [3, 4]]", "a.json", false),
+            (b"[[1, 0, 0, 0], [0, 1, 0, 0]]", "matrix.json", false),
+            (b"[\"a\", \"b\"]", "names.json", false),
+            (b"[{\"id\": 0, \"img_name\": \"1\", \"position\": [1, 2, 3]}]", "cameras.json", false),
+            (b"[\n{ \"rank\": 0, \"start\": \"Sat\", \"threads\": 1 }]", "profiling.json", false),
+            (b"{\"y\": [1], \"z\": [2], \"x\": [3]", "a.json", true),
+            (b"[[1, 2, 3], [4, ", "a.json", true),
+            (b"[[1, 2, 3], [4, 5, 6]] more", "a.json", false),
+            (b"[{\"x\": 1, \"y\": 2, \"z\": 3, \"v\": [0, 0, 0]}, {\"x\"", "a.json", true),
+            (b"{\"time\": 0.5, \"particles\": [[1, 2, 3]]}", "a.json", true),
+            (b"{\"positions\": [1, 2, 3, 4, 5, 6]}", "a.json", true),
+            (b"{\"fluid\": {}, \"points\": [[1, 2, 3]]}", "a.json", true),
             (b"v 1 2 3\nv 4 5 6\n", "mesh.obj", false),
             (b"by hand\n2 atoms\n1 atom types\n\nAtoms\n\n1 1 0.5 0.5 0.5\n", "a.data", false),
             (b"", "empty.csv", false),
@@ -599,6 +689,19 @@ mod tests {
         let long = [b"x,y,z\n".to_vec(), b"0.25,0.5,0.75\n".repeat(1000)].concat();
         for length in [HEAD_BYTES - 3, HEAD_BYTES, long.len()] {
             assert!(looks_like_particles(&long[..length], "a.csv"), "of {length} bytes");
+        }
+        // The positions, or the rest of them, are beyond the head.
+        for (start, expected) in [
+            ("{\"velocities\": [[0.5, 1, 2]", true),
+            ("{\"id\": [1", true),
+            ("{\"x\": [1", true),
+            ("{\"pos_x\": [1", true),
+            ("{\"loss\": [1", false),
+            ("{\"max\": [1", false),
+        ] {
+            let more = if start.ends_with(']') { ", [0.5, 1, 2]" } else { ", 2.5" };
+            let text = start.to_owned() + &more.repeat(1000);
+            assert_eq!(looks_like_particles(text.as_bytes(), "a.json"), expected, "of {start}");
         }
     }
 }

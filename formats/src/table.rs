@@ -129,6 +129,10 @@ formats! {
         Npy => crate::npy::ROW,
         /// Named NumPy arrays in a ZIP archive.
         Npz => crate::npy::ARCHIVE_ROW,
+        /// Krakatoa's particles: records with named channels, compressed.
+        Prt => crate::prt::ROW,
+        /// JSON: lists of positions or of other attributes.
+        Json => crate::json::ROW,
     }
 }
 

@@ -10,6 +10,7 @@ mod corpus; // files of other programs, and invalid files
 mod delimited; // text tables
 mod fixtures; // small valid files, built byte by byte
 mod houdini; // Houdini geometry
+mod json; // JSON
 mod lammps; // LAMMPS dumps
 mod mesh_formats; // .vtp, .stl and USD
 mod mesh_read; // meshes written by other programs
@@ -18,6 +19,7 @@ mod npy; // NumPy arrays
 mod obstacle; // obstacles in all supported formats
 mod particle_write; // particles as .ply and .vtp
 mod ply; // all dialects of PLY
+mod prt; // PRT
 mod sequences; // sequences assembled from the .glb files of frames
 mod shared; // files of other programs, if found next to the repository
 mod solids; // narrow-band level sets of solids

@@ -11,6 +11,7 @@ mod http; // the HTTP server: contents, access, and misbehaving clients
 mod invalid_files; // files that are not frames, and unreadable frames
 mod killed; // SIGKILL loses no frame and leaves no incomplete output
 mod links_and_pipes; // links and named pipes instead of files
+mod lists; // lists of files that a simulation extends
 mod log; // `status` and the log, for running and stopped daemons
 mod restart; // what is recorded survives a restart
 mod rewrites; // frames that change before, during or after conversion

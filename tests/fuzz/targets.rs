@@ -21,9 +21,9 @@ use meniscus::watch::status_store::StatusStore;
 use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
     Format, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind, Result, Values,
-    abc, bgeo, completeness, compression, csv, gltf, houdini, is_complete, lammps, looks_like_particles, npy,
-    obj, ply, png, probe, read_obstacle, read_particles, read_provenance, stl, usda, usdc, vdb, vtk, xyz,
-    xyz_ext,
+    abc, bgeo, completeness, compression, csv, gltf, houdini, is_complete, json, lammps,
+    looks_like_particles, npy, obj, ply, png, probe, prt, read_obstacle, read_particles, read_provenance,
+    stl, usda, usdc, vdb, vtk, xyz, xyz_ext,
 };
 use twox_hash::XxHash3_64;
 
@@ -62,6 +62,8 @@ pub(crate) const TARGETS: &[Target] = &[
     plain("xyz", |bytes| checked(xyz::read(bytes, &limits()))),
     plain("npy", |bytes| checked(npy::read(bytes, &limits()))),
     compressed("npz", |bytes| checked(npy::read_archive(bytes, &limits()))),
+    compressed("prt", |bytes| checked(prt::read(bytes, &limits()))),
+    plain("json", |bytes| checked(json::read(bytes, &limits()))),
     plain("lammps", |bytes| steps(ProbedKind::Format(Format::LammpsDump), bytes, lammps::read)),
     plain("atoms", |bytes| steps(ProbedKind::Format(Format::XyzAtoms), bytes, xyz_ext::read)),
     plain("vtk_legacy", |bytes| checked(vtk::read_legacy(bytes, &limits()))),

@@ -4,6 +4,7 @@ mod attributes; // attributes of particles, from an input file to the surface in
 mod certified; // certificates describe the written mesh
 mod cli; // the command: exit statuses, messages, names, refused arguments
 mod conflicts; // outputs that would replace inputs, each other, or data of other programs
+pub(crate) mod containers; // lists of VTK files, whose frames are joined from several
 mod convert; // the command on real frames: same bytes, reports, frames that are done
 #[cfg(unix)]
 mod escaping; // names and contents of files neither forge lines nor control the terminal

@@ -37,7 +37,7 @@ use rayon::prelude::*;
 
 pub(crate) use layout::{looks_like_particles, names_position};
 
-use crate::columns::{self, Group};
+use crate::columns::{self, Group, of_integers};
 use crate::row::{FormatRow, ParticleReader};
 use crate::{
     AttributeRole, Error, FileAttribute, FilePositions, Limits, ParticleFrame, Position, Result, Values,
@@ -335,51 +335,18 @@ fn take_texts(group: &Group, names: &[String], columns: &mut [Column], attribute
 
 /// The values of a group, row by row: 64-bit floats, or integers in the narrowest type that fits all.
 fn numbers(group: &Group, columns: &mut [Column], row_count: usize) -> Values {
-    if let Some(range) = integer_range(group, columns) {
-        let all = |low: i64, high: i64| range.is_none_or(|(min, max)| low <= min && max <= high);
-        // A colour with only the values 0 and 1 probably has floats that were printed without decimals.
-        let are_reals = match group.role {
-            Some(
-                AttributeRole::Velocity
-                | AttributeRole::Acceleration
-                | AttributeRole::Normal
-                | AttributeRole::Radius
-                | AttributeRole::Density
-                | AttributeRole::Mass,
-            ) => true,
-            Some(AttributeRole::Color) => all(0, 1),
-            Some(AttributeRole::Id | AttributeRole::Kind) | None => false,
-        };
-        if !are_reals {
-            let integers = interleaved(group, row_count, |index| take_integers(&mut columns[index]));
-            return if group.role == Some(AttributeRole::Color) && all(0, u8::MAX.into()) {
-                Values::U8(integers.into_iter().filter_map(|value| u8::try_from(value).ok()).collect())
-            } else if all(i32::MIN.into(), i32::MAX.into()) {
-                Values::I32(integers.into_iter().filter_map(|value| i32::try_from(value).ok()).collect())
-            } else {
-                Values::I64(integers)
-            };
-        }
-    }
-    let mut reals = interleaved(group, row_count, |index| take_reals(&mut columns[index]));
-    if group.scale != 1.0 {
+    let is_integer = |&index: &usize| matches!(columns[index].values, ColumnValues::Integers(_));
+    let mut values = if group.columns.iter().all(is_integer) {
+        of_integers(interleaved(group, row_count, |index| take_integers(&mut columns[index])), group.role)
+    } else {
+        Values::F64(interleaved(group, row_count, |index| take_reals(&mut columns[index])))
+    };
+    if let Values::F64(reals) = &mut values
+        && group.scale != 1.0
+    {
         reals.iter_mut().for_each(|value| *value *= group.scale);
     }
-    Values::F64(reals)
-}
-
-/// The smallest and largest value of a group, if all its columns are integers. The inner option is `None` if
-/// the group has no values.
-fn integer_range(group: &Group, columns: &[Column]) -> Option<Option<(i64, i64)>> {
-    let mut range: Option<(i64, i64)> = None;
-    for &index in &group.columns {
-        let ColumnValues::Integers(integers) = &columns[index].values else { return None };
-        for &value in integers {
-            let (min, max) = range.unwrap_or((value, value));
-            range = Some((min.min(value), max.max(value)));
-        }
-    }
-    Some(range)
+    values
 }
 
 /// Interleaves the columns of a group.

@@ -193,7 +193,9 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 fn of_pickled(names: &[String]) -> Error {
     let is_pysph = ["particles", "solver_data"].iter().all(|name| names.iter().any(|found| found == name));
     let what = if is_pysph {
-        "this is output of PySPH, with pickled Python objects: convert it with `pysph dump_vtk`".to_owned()
+        "this is output of PySPH, with pickled Python objects: convert it with `pysph dump_vtk`, or save \
+         it as HDF5 with `pysph.solver.utils.dump`"
+            .to_owned()
     } else {
         format!(
             "no array has positions, and these arrays are not numeric, or pickled Python objects: {}; save the \
@@ -261,7 +263,7 @@ fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<
 
 /// A frame from an array without names: its first three columns are the position, unless the first is an id.
 /// All others are attributes.
-fn unnamed_frame(array: NamedArray) -> Result<ParticleFrame> {
+pub(crate) fn unnamed_frame(array: NamedArray) -> Result<ParticleFrame> {
     let NamedArray { arity, values, .. } = array;
     let skipped = match FirstColumn::of(first_numbers(&values, arity).into_iter(), arity) {
         FirstColumn::Coordinate => 0,

@@ -355,12 +355,12 @@ pub fn has_particle_extension(name: &str) -> bool {
 }
 
 /// Whether the extension is used only for particle files, so that such a file without particles is invalid.
-/// Readme files and logs may have the other extensions, such as `.txt`: only their content shows what they
-/// are.
+/// Readme files, logs and settings may have the other extensions, such as `.txt` and `.json`: only their content
+/// shows what they are.
 pub fn promises_particles(name: &str) -> bool {
     let name_without_suffix = name_without_compression(name).to_ascii_lowercase();
     let may_be_any_text =
-        [".txt", ".dat", ".asc"].iter().any(|extension| name_without_suffix.ends_with(extension));
+        [".txt", ".dat", ".asc", ".json"].iter().any(|extension| name_without_suffix.ends_with(extension));
     has_particle_extension(name) && !may_be_any_text
 }
 

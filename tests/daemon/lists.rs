@@ -1,0 +1,71 @@
+//! Lists of files that a simulation extends: `.pvd` and the like.
+
+use crate::daemon::scene::{Line, Scene, moving};
+use crate::program::containers::{pvd, vtp};
+
+const ARGUMENTS: [&str; 10] = [
+    "--pattern",
+    "*.pvd",
+    "--format",
+    "obj",
+    "--settle",
+    "100ms",
+    "--preset",
+    "paper",
+    "--voxel-size",
+    "0.06",
+];
+const CONVERT: [&str; 6] = ["--format", "obj", "--preset", "paper", "--voxel-size", "0.06"];
+
+fn piece(number: usize) -> String {
+    vtp(&moving(number).map(|position| position.map(f64::from)), 0)
+}
+
+/// Writes the list of the first frames, 0 to `last`.
+fn write_list(scene: &Scene, last: usize) {
+    let names: Vec<String> = (0..=last).map(|number| format!("d/{number}.vtp")).collect();
+    scene.write("in/d.pvd", pvd(names.iter().enumerate().map(|(index, name)| (0.5 * index as f64, &**name))));
+}
+
+#[test]
+fn growing_list_is_followed() {
+    let scene = Scene::new();
+    for number in 0..2 {
+        scene.write(&format!("in/d/{number}.vtp"), piece(number));
+    }
+    write_list(&scene, 1);
+    let daemon = scene.watch(&ARGUMENTS);
+    daemon.await_converted("d.pvd/step=0");
+    daemon.await_converted("d.pvd/step=1");
+    // The list names a piece that is written later.
+    write_list(&scene, 2);
+    daemon.await_line("a piece is missing", |line| line.is_complaint() && line.is_about("d.pvd/step=2"));
+    scene.put("in/d/2.vtp", piece(2));
+    daemon.await_converted("d.pvd/step=2");
+    scene.put("in/d/3.vtp", piece(3));
+    write_list(&scene, 3);
+    daemon.await_converted("d.pvd/step=3");
+    let log = daemon.finish();
+    assert_eq!(log.iter().filter(|line| line.is_converted()).count(), 4);
+    // The frames whose pieces did not change were not read again.
+    let is_early = |line: &&Line| ["d.pvd/step=0", "d.pvd/step=1"].iter().any(|frame| line.is_about(frame));
+    assert_eq!(log.iter().filter(is_early).filter(|line| line.is_found_done()).count(), 0);
+    scene.assert_as_converted(&CONVERT);
+    let once = scene.once(&ARGUMENTS);
+    assert_eq!(once.converted(), [""; 0]);
+}
+
+/// Without a pattern, the files of a list beside it are frames, and the list is none.
+#[test]
+fn list_beside_its_files_is_skipped() {
+    let scene = Scene::new();
+    for number in 0..2 {
+        scene.write(&format!("in/d.{number}.vtp"), piece(number));
+    }
+    scene.write("in/d.pvd", pvd([(0.0, "d.0.vtp"), (0.5, "d.1.vtp")]));
+    let once = scene.once(&ARGUMENTS[2..]);
+    once.assert_status(0);
+    assert_eq!(once.converted(), ["d.0.vtp", "d.1.vtp"]);
+    let once = scene.once(&ARGUMENTS);
+    assert_eq!(once.status, Some(1), "the names of the outputs are taken");
+}
