@@ -213,6 +213,21 @@ fn meshes_and_grids_beside_particles_are_left_out() {
 }
 
 #[test]
+fn copies_of_points_in_other_pieces_are_left_out() {
+    let ghosts = |flags: &str| {
+        format!(
+            "<PointData><DataArray type=\"UInt8\" Name=\"vtkGhostType\" format=\"ascii\">{flags}</DataArray>"
+        )
+    };
+    let with = |xs: &[f32], flags: &str| piece(xs, &[]).replace("<PointData>", &ghosts(flags));
+    let files = folder(&[("a.vtp", with(&[0.0, 1.0], "0 1")), ("b.vtp", with(&[1.0, 2.0, 9.0], "0 0 2"))]);
+    let list = list("PPolyData", "<Piece Source=\"a.vtp\"/><Piece Source=\"b.vtp\"/>");
+    let found = frame(&list, &files, 0).expect("two pieces");
+    assert_eq!(xs(&found), [0.0, 1.0, 2.0]);
+    assert_eq!(found.notes, ["left out 2 points that other pieces have, according to `vtkGhostType`"]);
+}
+
+#[test]
 fn what_is_wrong_with_a_list_is_named() {
     let cut = piece(&[1.0, 2.0], &[]);
     let files = folder(&[

@@ -18,7 +18,8 @@ const ARGUMENTS: [&str; 10] = [
 const CONVERT: [&str; 6] = ["--format", "obj", "--preset", "paper", "--voxel-size", "0.06"];
 
 fn piece(number: usize) -> String {
-    vtp(&moving(number).map(|position| position.map(f64::from)), 0)
+    let particles: Vec<[f64; 3]> = moving(number).iter().map(|position| position.map(f64::from)).collect();
+    vtp(&particles, 0)
 }
 
 /// Writes the list of the first frames, 0 to `last`.
@@ -66,6 +67,11 @@ fn list_beside_its_files_is_skipped() {
     let once = scene.once(&ARGUMENTS[2..]);
     once.assert_status(0);
     assert_eq!(once.converted(), ["d.0.vtp", "d.1.vtp"]);
+    // The pattern asks for the list.
+    let scene = Scene::new();
+    scene.write("in/d.0.vtp", piece(0));
+    scene.write("in/d.pvd", pvd([(0.0, "d.0.vtp")]));
     let once = scene.once(&ARGUMENTS);
-    assert_eq!(once.status, Some(1), "the names of the outputs are taken");
+    once.assert_status(0);
+    assert_eq!(once.converted(), ["d.pvd"]);
 }

@@ -21,7 +21,7 @@ use super::xml::{attribute, check_end, neighbor, neighbor_of_type, utf8};
 use super::{INDEX, POLYGONS_NOTE, VtkPiece, joined, legacy, xml};
 use crate::batches::read as read_bytes;
 use crate::container::{ContainerFile, ContainerReader, Sample, folder_of, further_path};
-use crate::data::ParticleFrame;
+use crate::data::{FileAttribute, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::neighbor::Neighbor;
@@ -278,6 +278,25 @@ impl FrameParts<'_> {
             notes.push(POLYGONS_NOTE.to_owned());
             particles.extend(meshes.into_iter().flat_map(|(_, pieces)| pieces));
         }
-        joined(particles, notes)
+        without_ghosts(joined(particles, notes))
     }
+}
+
+/// The array of VTK that marks the points of a piece that belong to another one.
+const GHOSTS: &str = "vtkGhostType";
+
+/// The bits of duplicate and of hidden points.
+const GHOST_BITS: u8 = 3;
+
+/// Leaves out the points that are copies of those of other pieces.
+fn without_ghosts(mut frame: ParticleFrame) -> ParticleFrame {
+    let ghosts = frame.attributes.iter().find(|attribute| attribute.name == GHOSTS && attribute.arity == 1);
+    let Some(FileAttribute { values: Values::U8(ghosts), .. }) = ghosts else { return frame };
+    let mask: Vec<bool> = ghosts.iter().map(|ghost| ghost & GHOST_BITS == 0).collect();
+    let count = mask.iter().filter(|is_kept| !**is_kept).count();
+    if count > 0 {
+        frame.retain(&mask);
+        frame.notes.push(format!("left out {count} points that other pieces have, according to `{GHOSTS}`"));
+    }
+    frame
 }

@@ -83,14 +83,12 @@ const INDEX_EXTENSIONS: &[&str] = &[
     "vtpd",
     "vtpc",
     "vtm",
-    "series",
     "vtk.series",
-    "vtu.series",
     "vtp.series",
-    "pvtu.series",
+    "vtu.series",
     "pvtp.series",
-    "vtm.series",
-    "vtpd.series",
+    "pvtu.series",
+    "series",
 ];
 
 // Joins the pieces of a data set into one frame.

@@ -434,4 +434,83 @@ mod tests {
         let over = frames_in_unless(&file, &AtomicBool::new(true));
         assert_eq!(over.expect("it is known").paths().count(), 3);
     }
+
+    /// A `.pvd` of files in the folder `d`, each of which is a table of the legacy format with one point.
+    fn write_list(folder: &Path, xs: &[f64]) {
+        fs::create_dir_all(folder.join("d")).expect("made");
+        let mut entries = String::new();
+        for (index, x) in xs.iter().enumerate() {
+            let text =
+                format!("# vtk DataFile Version 3.0\na\nASCII\nDATASET POLYDATA\nPOINTS 1 float\n{x} 0 0\n");
+            let path = folder.join(format!("d/{index}.vtk"));
+            if fs::read_to_string(&path).ok().as_ref() != Some(&text) {
+                fs::write(path, text).expect("written");
+            }
+            entries += &format!("<DataSet timestep=\"{}\" file=\"d/{index}.vtk\"/>", 0.5 * index as f64);
+        }
+        let text = format!("<VTKFile type=\"Collection\"><Collection>{entries}</Collection></VTKFile>");
+        fs::write(folder.join("run.pvd"), text).expect("written");
+    }
+
+    #[test]
+    fn frames_of_a_container_are_read_alone() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let folder = folder.path();
+        let list = folder.join("run.pvd");
+        write_list(folder, &[0.5, 1.5, 2.5]);
+        let frames = frames_in_unless(&list, &AtomicBool::new(false)).expect("frames");
+        assert!(frames.has_several() && may_hold_several(&list).expect("there"));
+        let names: Vec<String> = frames.paths().map(|frame| frame_name(&frame)).collect();
+        assert_eq!(names, ["run.pvd/step=0", "run.pvd/step=1", "run.pvd/step=2"]);
+        assert_eq!(time_of_frame(&list.join("step=2")), Some(1.0));
+        assert_eq!(content_of_container(&list).expect("a list"), ContainerContent::Frames);
+        let read = |step: &str| read_step(&list, step, BY).expect("read").expect("unchanged").0;
+        let before: Vec<Vec<u8>> = ["0", "1", "2"].map(read).into();
+        assert!(before[0] != before[1] && reading_bytes(&list.join("step=0"), BY) > 0);
+        let frame =
+            meniscus_formats::read_particles(&before[2], "run.pvd", &Limits::default()).expect("packed");
+        assert_eq!(frame.positions, meniscus_formats::FilePositions::F32(vec![[2.5, 0.0, 0.0]]));
+        let error = read_only_frame(&list, BY).expect_err("three frames").to_string();
+        assert!(
+            error.contains("the file has 3 frames") && error.contains("from step=0 to step=2"),
+            "{error}"
+        );
+        // The list grows, and one of its files changes.
+        let stamp = FileStamp::of_path(&list).expect("there");
+        write_list(folder, &[0.5, 1.25, 2.5, 3.5]);
+        let frames = frames_in_unless(&list, &AtomicBool::new(false)).expect("frames");
+        assert_eq!((frames.paths().count(), frames.unchanged_since(&stamp)), (4, 1));
+        assert!(read("0") == before[0] && read("1") != before[1] && read("2") == before[2]);
+        // A list that only grows.
+        let stamp = FileStamp::of_path(&list).expect("there");
+        write_list(folder, &[0.5, 1.25, 2.5, 3.5, 4.5]);
+        let frames = frames_in_unless(&list, &AtomicBool::new(false)).expect("frames");
+        assert_eq!(frames.unchanged_since(&stamp), 4);
+        // A missing file may be written later.
+        fs::remove_file(folder.join("d/4.vtk")).expect("removed");
+        let gone = read_step(&list, "4", BY).expect_err("gone");
+        assert!(gone.is_truncated() && gone.to_string().contains("d/4.vtk"), "{gone}");
+        // A single frame is the file itself.
+        write_list(folder, &[0.5]);
+        assert_eq!(frames_in(&list).expect("a frame"), [&*list]);
+        let (bytes, _) = read_only_frame(&list, BY).expect("read").expect("unchanged");
+        assert_eq!(bytes, before[0]);
+        assert!(reading_bytes(&list, BY) > bytes.len() as u64 / 2);
+    }
+
+    #[test]
+    fn compressed_lists_are_read() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let folder = folder.path();
+        write_list(folder, &[0.5, 1.5]);
+        for name in ["run.pvd", "d/1.vtk"] {
+            let path = folder.join(name);
+            let bytes = fs::read(&path).expect("there");
+            fs::write(&path, compress_to_vec(&*bytes, CompressionLevel::Fastest)).expect("written");
+        }
+        let list = folder.join("run.pvd");
+        for step in ["0", "1"] {
+            assert!(read_step(&list, step, BY).expect("read").is_some());
+        }
+    }
 }
