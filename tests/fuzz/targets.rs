@@ -21,9 +21,9 @@ use meniscus::watch::status_store::StatusStore;
 use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
     Format, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind, Result, Values,
-    abc, bgeo, completeness, compression, csv, gltf, houdini, is_complete, json, lammps, looks_like_particles,
-    npy, obj, ply, png, probe, prt, read_obstacle, read_particles, read_provenance, stl, usda, usdc, vdb, vtk, xyz,
-    xyz_ext,
+    abc, bgeo, completeness, compression, csv, gltf, houdini, is_complete, json, lammps,
+    looks_like_particles, npy, obj, ply, png, probe, prt, read_obstacle, read_particles, read_provenance,
+    stl, usda, usdc, vdb, vtk, xyz, xyz_ext,
 };
 use twox_hash::XxHash3_64;
 
