@@ -108,9 +108,17 @@ impl JsonList {
     /// Reads the numbers of a particle: a number, or a list of as many as the particles before have.
     fn read_particle(&mut self, text: &mut JsonText) -> Result<()> {
         let (at, before) = (text.at, self.values.len());
+        let most = match before {
+            0 if self.name.is_empty() => ROW_MAX,
+            0 => usize::MAX,
+            _ => self.arity,
+        };
         if text.peek("a number")? == b'[' {
             let mut has_more = text.opens(b']')?;
             while has_more {
+                if self.values.len() - before == most {
+                    return Err(text.invalid_at(at, format!("expected at most {most} numbers, found more")));
+                }
                 self.push(text.number()?);
                 has_more = text.continues(b']')?;
             }
@@ -136,7 +144,7 @@ impl JsonList {
             }
             let at = text.at;
             self.read_particle(text)?;
-            if is_unnamed && !(3..=ROW_MAX).contains(&self.arity) {
+            if is_unnamed && self.arity < 3 {
                 let what = format!("expected lists of three numbers, [x, y, z], found {}", self.arity);
                 return Err(text.invalid_at(at, what));
             }

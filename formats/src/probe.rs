@@ -103,19 +103,17 @@ pub fn probe(bytes: &[u8], file_name: &str) -> Probe {
 ///
 /// The answer is yes if [`probe()`] recognises a particle format, even if the file turns out to be invalid.
 /// Delimited text must also start like a table: with a header that names a position and fits the row below
-/// it, or with a row of at least three numbers. `head` should have 8 KiB unless the file is shorter; it may
+/// it, or with a row of at least three numbers. JSON must have positions. `head` should have 8 KiB unless the file is shorter; it may
 /// be compressed.
 pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
-    match probe(head, file_name).kind {
-        ProbedKind::Format(Format::Delimited) => match Codec::of(head) {
-            Some(codec) => csv::looks_like_particles(&codec.decompress_head(head, HEAD_BYTES)),
-            None => csv::looks_like_particles(head),
-        },
-        ProbedKind::Format(Format::Json) => match Codec::of(head) {
-            Some(codec) => json::looks_like_particles(&codec.decompress_head(head, HEAD_BYTES)),
-            None => json::looks_like_particles(head),
-        },
-        kind => kind.format().is_some_and(Format::has_particles),
+    let looks: fn(&[u8]) -> bool = match probe(head, file_name).kind {
+        ProbedKind::Format(Format::Delimited) => csv::looks_like_particles,
+        ProbedKind::Format(Format::Json) => json::looks_like_particles,
+        kind => return kind.format().is_some_and(Format::has_particles),
+    };
+    match Codec::of(head) {
+        Some(codec) => looks(&codec.decompress_head(head, HEAD_BYTES)),
+        None => looks(head),
     }
 }
 

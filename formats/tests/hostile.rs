@@ -161,7 +161,11 @@ fn worst_files() -> Vec<(&'static str, Vec<u8>, &'static str)> {
         ),
         ("depth of JSON", [b"{\"a\":".to_vec(), vec![b'['; 8 << 20]].concat(), "the file ends where"),
         ("depth of a list of JSON", vec![b'['; 8 << 20], "several frames"),
-        ("row of JSON", ["[[", &"0,".repeat(4 << 20), "0]]"].concat().into(), "found 4194305"),
+        (
+            "row of JSON",
+            ["[[", &"0,".repeat(4 << 20), "0]]"].concat().into(),
+            "expected at most 32 numbers, found more",
+        ),
         (
             "channels of PRT",
             fixtures::prt(1, &[], 1, &[("Position", 4, 3, 0); 4096], &[0; 12]),

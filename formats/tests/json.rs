@@ -94,6 +94,7 @@ fn invalid_texts_are_errors_with_a_reason() {
     for (text, words) in [
         ("[[1, 2, 3],\n[4, 5]]", "at line 2: expected 3 numbers, found 2"),
         ("[[1, 2, 3], [4, 5]]", "at byte 12: expected 3 numbers, found 2"),
+        ("[[1, 2, 3],\n\n [4, 5, 6, 7]]", "at line 3: expected at most 3 numbers, found more"),
         ("[[1, 2]]", "expected lists of three numbers, [x, y, z], found 2"),
         ("[[]]", "expected 3 numbers, found 0"),
         ("[[1, 2, \"3\"]]", "at byte 8: expected a number, found `\"3\"]]`"),
