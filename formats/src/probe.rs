@@ -103,8 +103,8 @@ pub fn probe(bytes: &[u8], file_name: &str) -> Probe {
 ///
 /// The answer is yes if [`probe()`] recognises a particle format, even if the file turns out to be invalid.
 /// Delimited text must also start like a table: with a header that names a position and fits the row below
-/// it, or with a row of at least three numbers. JSON must have positions. `head` should have 8 KiB unless the file is shorter; it may
-/// be compressed.
+/// it, or with a row of at least three numbers. JSON must have positions. `head` should have 8 KiB unless the
+/// file is shorter; it may be compressed.
 pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
     let looks: fn(&[u8]) -> bool = match probe(head, file_name).kind {
         ProbedKind::Format(Format::Delimited) => csv::looks_like_particles,
