@@ -9,18 +9,18 @@
 //! ```
 //!
 //! The names are interpreted as in all formats. Booleans are integers, and `null`, `NaN` and `Infinity` are
-//! numbers that are not finite. Everything else is skipped with a note: single values, texts and objects. The
-//! text is read once, from start to end, and only its numbers are kept. Numbers are 64-bit floats, correctly
-//! rounded, or integers.
+//! numbers that are not finite. Single values, texts and objects are skipped, with a note. The text is read from
+//! start to end, and only its numbers are kept: as integers, or as 64-bit floats, correctly rounded.
 
 use std::borrow::Cow;
 
-use crate::columns::{group_columns, of_integers, position_rank, role_of};
+use crate::columns::{Columns, group_columns, of_integers, position_rank, role_of};
 use crate::data::{ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, frame_of};
+use crate::named_arrays::{NamedArray, frame_of, widened};
 use crate::npy::unnamed_frame;
+use crate::number::interleaved;
 use crate::row::{FormatRow, ParticleReader};
 use crate::text::{excerpt, excerpts, line_number};
 
@@ -35,17 +35,14 @@ const FORMAT: &str = "JSON";
 /// the offset in the first line, if it is not JSON or has no positions; [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let mut lists = JsonLists::default();
-    let name_limit = limits.attribute_count;
-    lists.parse(bytes, name_limit).map_err(|fault| {
-        let position = match line_number(bytes, fault.at) {
-            1 => Position::Offset(fault.at as u64),
-            line => Position::Line(line),
-        };
-        match fault.kind {
-            JsonFaultKind::Cut => Error::truncated(FORMAT, position, fault.what),
-            JsonFaultKind::Invalid => Error::invalid(FORMAT, position, fault.what),
-            JsonFaultKind::TooLarge => Error::too_large(FORMAT, fault.what),
+    lists.parse(bytes, limits).map_err(|mut error| {
+        if let Error::Truncated { position, .. } | Error::Invalid { position, .. } = &mut error
+            && let Position::Offset(at) = *position
+            && let line @ 2.. = line_number(bytes, usize::try_from(at).unwrap_or(usize::MAX))
+        {
+            *position = Position::Line(line);
         }
+        error
     })?;
     let frame = lists.into_frame()?;
     limits.check_particles(FORMAT, frame.positions.len() as u64)?;
@@ -57,67 +54,16 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 /// the reader: a single vector `position` is not enough, nor are records that also have texts or objects.
 pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
     let mut lists = JsonLists::default();
-    match lists.parse(head, Limits::default().attribute_count) {
-        Ok(()) => lists.has_positions(false),
-        Err(fault) => fault.kind == JsonFaultKind::Cut && lists.has_positions(true),
+    match lists.parse(head, &Limits::default()) {
+        Ok(()) => lists.have_positions(false),
+        Err(error) => error.is_truncated() && lists.have_positions(true),
     }
 }
-
-/// What is wrong with a text, and where.
-struct JsonFault {
-    kind: JsonFaultKind,
-    at: usize,
-    what: String,
-}
-
-#[derive(Clone, Copy, PartialEq)]
-enum JsonFaultKind {
-    /// The text ends too early.
-    Cut,
-    Invalid,
-    TooLarge,
-}
-
-type Parsed<T> = std::result::Result<T, JsonFault>;
 
 /// A number of a text.
 enum JsonNumber {
     Integer(i64),
     Real(f64),
-}
-
-/// Numbers of a text: integers up to the first other number.
-enum JsonNumbers {
-    Integers(Vec<i64>),
-    Reals(Vec<f64>),
-}
-
-impl JsonNumbers {
-    fn push(&mut self, number: JsonNumber) {
-        match (&mut *self, number) {
-            (JsonNumbers::Integers(integers), JsonNumber::Integer(integer)) => integers.push(integer),
-            (JsonNumbers::Reals(reals), JsonNumber::Real(real)) => reals.push(real),
-            (JsonNumbers::Reals(reals), JsonNumber::Integer(integer)) => reals.push(integer as f64),
-            (JsonNumbers::Integers(_), JsonNumber::Real(real)) => {
-                self.widen();
-                self.push(JsonNumber::Real(real));
-            }
-        }
-    }
-
-    fn widen(&mut self) {
-        if let JsonNumbers::Integers(integers) = self {
-            let reals = std::mem::take(integers).into_iter().map(|integer| integer as f64).collect();
-            *self = JsonNumbers::Reals(reals);
-        }
-    }
-
-    fn len(&self) -> usize {
-        match self {
-            JsonNumbers::Integers(integers) => integers.len(),
-            JsonNumbers::Reals(reals) => reals.len(),
-        }
-    }
 }
 
 /// The values of one name.
@@ -126,7 +72,8 @@ struct JsonList {
     name: String,
     /// The number of values per particle; 0 until it is known.
     arity: usize,
-    numbers: JsonNumbers,
+    /// Integers up to the first other number, which makes them 64-bit floats.
+    values: Values,
     /// The number of records with this name.
     record_count: usize,
     /// Why the values are skipped.
@@ -134,31 +81,51 @@ struct JsonList {
 }
 
 impl JsonList {
-    fn new(name: String, fault: Option<String>) -> JsonList {
-        JsonList { name, arity: 0, numbers: JsonNumbers::Integers(Vec::new()), record_count: 0, fault }
+    fn new(name: String) -> JsonList {
+        JsonList { name, arity: 0, values: Values::I64(Vec::new()), record_count: 0, fault: None }
     }
 
     fn skip(&mut self, fault: String) {
-        *self = JsonList {
-            record_count: self.record_count,
-            ..JsonList::new(std::mem::take(&mut self.name), Some(fault))
-        };
+        (self.values, self.arity, self.fault) = (Values::I64(Vec::new()), 0, Some(fault));
+    }
+
+    fn push(&mut self, number: JsonNumber) {
+        match (&mut self.values, number) {
+            (Values::I64(integers), JsonNumber::Integer(integer)) => integers.push(integer),
+            (Values::F64(reals), JsonNumber::Real(real)) => reals.push(real),
+            (Values::F64(reals), JsonNumber::Integer(integer)) => reals.push(integer as f64),
+            (_, real) => {
+                self.widen();
+                self.push(real);
+            }
+        }
+    }
+
+    fn widen(&mut self) {
+        self.values = widened(&self.values).unwrap_or(Values::F64(Vec::new()));
     }
 
     /// Reads the numbers of a particle: a number, or a list of as many as the particles before have.
-    fn read_particle(&mut self, text: &mut JsonText) -> Parsed<()> {
-        let at = text.at;
-        let before = self.numbers.len();
+    fn read_particle(&mut self, text: &mut JsonText) -> Result<()> {
+        let (at, before) = (text.at, self.values.len());
+        let most = match before {
+            0 if self.name.is_empty() => ROW_MAX,
+            0 => usize::MAX,
+            _ => self.arity,
+        };
         if text.peek("a number")? == b'[' {
             let mut has_more = text.opens(b']')?;
             while has_more {
-                self.numbers.push(text.number()?);
+                if self.values.len() - before == most {
+                    return Err(text.invalid_at(at, format!("expected at most {most} numbers, found more")));
+                }
+                self.push(text.number()?);
                 has_more = text.continues(b']')?;
             }
         } else {
-            self.numbers.push(text.number()?);
+            self.push(text.number()?);
         }
-        let found = self.numbers.len() - before;
+        let found = self.values.len() - before;
         if found == 0 || before != 0 && found != self.arity {
             let expected = if found == 0 { 3 } else { self.arity };
             return Err(text.invalid_at(at, format!("expected {expected} numbers, found {found}")));
@@ -167,15 +134,51 @@ impl JsonList {
         Ok(())
     }
 
+    /// Reads a list of numbers, or of lists of numbers. Positions without a name must be lists.
+    fn read_particles(&mut self, text: &mut JsonText) -> Result<()> {
+        let is_unnamed = self.name.is_empty();
+        let mut has_more = text.opens(b']')?;
+        while has_more {
+            if is_unnamed && self.arity == 0 && text.follows(b"[[") {
+                return Err(text.invalid("this list has several frames: save each as a file"));
+            }
+            let at = text.at;
+            self.read_particle(text)?;
+            if is_unnamed && self.arity < 3 {
+                let what = format!("expected lists of three numbers, [x, y, z], found {}", self.arity);
+                return Err(text.invalid_at(at, what));
+            }
+            has_more = text.continues(b']')?;
+        }
+        Ok(())
+    }
+
+    /// Reads values. If they are not numbers, and not positions, they are skipped.
+    fn read_or_skip(
+        &mut self,
+        text: &mut JsonText,
+        read: fn(&mut JsonList, &mut JsonText) -> Result<()>,
+    ) -> Result<()> {
+        let start = text.at;
+        if self.fault.is_none() {
+            match read(self, text) {
+                Err(Error::Invalid { position, what, .. }) if position_rank(&self.name).is_none() => {
+                    self.skip(format!("{position}: {what}"));
+                }
+                outcome => return outcome,
+            }
+        }
+        text.at = start;
+        text.skip_value()
+    }
+
     /// Whether this is a position in a list without inner lists. `x`, `r` and `p` alone have other meanings.
     fn is_flat_position(&self) -> bool {
         self.arity == 1 && self.name.len() > 1 && position_rank(&self.name).is_some()
     }
 
     fn is_vector_position(&self) -> bool {
-        self.fault.is_none()
-            && self.arity == 3
-            && (self.name.is_empty() || position_rank(&self.name).is_some())
+        self.arity == 3 && (self.name.is_empty() || position_rank(&self.name).is_some())
     }
 }
 
@@ -185,17 +188,15 @@ struct JsonLists {
     lists: Vec<JsonList>,
     /// Whether the particles are records.
     has_records: bool,
-    name_limit: usize,
 }
 
 impl JsonLists {
     /// Reads a text. After an error, the lists contain what was read before it.
-    fn parse(&mut self, bytes: &[u8], name_limit: usize) -> Parsed<()> {
-        self.name_limit = name_limit;
+    fn parse(&mut self, bytes: &[u8], limits: &Limits) -> Result<()> {
         let mut text = JsonText { bytes, at: if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 } };
         match text.peek("a list or an object")? {
-            b'[' => self.read_list(&mut text, None)?,
-            b'{' => self.read_object(&mut text)?,
+            b'[' => self.read_unnamed(&mut text, limits)?,
+            b'{' => self.read_object(&mut text, limits)?,
             _ => return Err(text.invalid("expected a list or an object")),
         }
         match text.skip_space() {
@@ -204,17 +205,15 @@ impl JsonLists {
         }
     }
 
-    /// Adds a list; returns its index.
-    fn add(&mut self, text: &JsonText, list: JsonList) -> Parsed<usize> {
-        if self.lists.len() >= self.name_limit {
-            let what = format!("the file has more names than the limit of {}", self.name_limit);
-            return Err(JsonFault { kind: JsonFaultKind::TooLarge, at: text.at, what });
-        }
-        self.lists.push(list);
-        Ok(self.lists.len() - 1)
+    /// Adds a list.
+    fn add(&mut self, name: String, limits: &Limits) -> Result<&mut JsonList> {
+        limits.check_attributes(FORMAT, self.lists.len() + 1, "names")?;
+        let index = self.lists.len();
+        self.lists.push(JsonList::new(name));
+        Ok(&mut self.lists[index])
     }
 
-    fn read_object(&mut self, text: &mut JsonText) -> Parsed<()> {
+    fn read_object(&mut self, text: &mut JsonText, limits: &Limits) -> Result<()> {
         let mut has_more = text.opens(b'}')?;
         while has_more {
             let at = text.at;
@@ -225,24 +224,11 @@ impl JsonLists {
                 return Err(text.invalid_at(at, format!("the name `{}` appears twice", excerpt(name))));
             }
             match text.peek("a value")? {
-                b'[' if is_unnamed => self.read_list(text, None)?,
-                b'[' => {
-                    let (start, count) = (text.at, self.lists.len());
-                    let is_position = position_rank(&name).is_some();
-                    match self.read_list(text, Some(name)) {
-                        Err(JsonFault { kind: JsonFaultKind::Invalid, at, what }) if !is_position => {
-                            text.at = start;
-                            text.skip_value()?;
-                            self.lists.truncate(count + 1);
-                            self.lists[count].skip(format!("at byte {at}: {what}"));
-                        }
-                        outcome => outcome?,
-                    }
-                }
-                first => {
+                b'[' if is_unnamed => self.read_unnamed(text, limits)?,
+                b'[' => self.add(name, limits)?.read_or_skip(text, JsonList::read_particles)?,
+                _ => {
                     text.skip_value()?;
-                    let what = if first == b'{' { "it is an object" } else { "it is a single value" };
-                    self.add(text, JsonList::new(name, Some(what.into())))?;
+                    self.add(name, limits)?.skip("it is not a list".into());
                 }
             }
             has_more = text.continues(b'}')?;
@@ -250,38 +236,17 @@ impl JsonLists {
         Ok(())
     }
 
-    /// Reads a list of numbers, of lists of numbers or, without a name, of records.
-    fn read_list(&mut self, text: &mut JsonText, name: Option<String>) -> Parsed<()> {
-        let is_unnamed = name.is_none();
-        if is_unnamed && text.follows(b"[{") {
-            return self.read_records(text);
+    /// Reads a list without a name, of positions or of records.
+    fn read_unnamed(&mut self, text: &mut JsonText, limits: &Limits) -> Result<()> {
+        if text.follows(b"[{") {
+            self.has_records = true;
+            return self.read_records(text, limits);
         }
-        let index = self.add(text, JsonList::new(name.unwrap_or_default(), None))?;
-        let list = &mut self.lists[index];
-        let mut has_more = text.opens(b']')?;
-        while has_more {
-            if is_unnamed && list.arity == 0 && text.follows(b"[[") {
-                return Err(text.invalid("this list has several frames: save each as a file"));
-            }
-            if is_unnamed && text.peek("a position")? != b'[' {
-                return Err(
-                    text.invalid("expected positions: a list [x, y, z] or an object for each particle")
-                );
-            }
-            let at = text.at;
-            list.read_particle(text)?;
-            if is_unnamed && !(3..=ROW_MAX).contains(&list.arity) {
-                let what = format!("expected three numbers, [x, y, z], found {}", list.arity);
-                return Err(text.invalid_at(at, what));
-            }
-            has_more = text.continues(b']')?;
-        }
-        Ok(())
+        self.add(String::new(), limits)?.read_particles(text)
     }
 
     /// Reads a list of objects with the same names.
-    fn read_records(&mut self, text: &mut JsonText) -> Parsed<()> {
-        self.has_records = true;
+    fn read_records(&mut self, text: &mut JsonText, limits: &Limits) -> Result<()> {
         let start = self.lists.len();
         let mut record_count = 0;
         let mut has_more = text.opens(b']')?;
@@ -292,20 +257,20 @@ impl JsonLists {
             while has_values {
                 let at = text.at;
                 let name = text.key()?;
-                let mut all = expected..self.lists.len();
-                let index = all
-                    .find(|&index| self.lists[index].name == name)
-                    .or_else(|| (start..expected).find(|&index| self.lists[index].name == name));
-                let index = match index {
-                    Some(index) => index,
-                    None if record_count == 0 => self.add(text, JsonList::new(name.into_owned(), None))?,
+                // Most records have the same order.
+                let mut order = (expected..self.lists.len()).chain(start..expected);
+                let index = order.find(|&index| self.lists[index].name == name);
+                expected = index.unwrap_or(expected) + 1;
+                let list = match index {
+                    Some(index) => &mut self.lists[index],
+                    None if record_count == 0 => self.add(name.into_owned(), limits)?,
                     None => {
                         let what = format!("the first record has no `{}`", excerpt(&*name));
                         return Err(text.invalid_at(at, what));
                     }
                 };
-                self.read_record_value(text, index)?;
-                expected = index + 1;
+                list.record_count += 1;
+                list.read_or_skip(text, JsonList::read_particle)?;
                 has_values = text.continues(b'}')?;
             }
             record_count += 1;
@@ -318,48 +283,30 @@ impl JsonLists {
         Ok(())
     }
 
-    fn read_record_value(&mut self, text: &mut JsonText, index: usize) -> Parsed<()> {
-        let list = &mut self.lists[index];
-        list.record_count += 1;
-        let start = text.at;
-        if list.fault.is_none() {
-            match list.read_particle(text) {
-                Err(JsonFault { kind: JsonFaultKind::Invalid, at, what }) => {
-                    list.skip(format!("at byte {at}: {what}"));
-                    text.at = start;
-                }
-                outcome => return outcome,
-            }
-        }
-        text.skip_value()
+    /// The lists with one number per particle, by index.
+    fn singles(&self) -> Vec<usize> {
+        (0..self.lists.len()).filter(|&index| self.lists[index].arity == 1).collect()
     }
 
-    /// The names of the lists with one number per particle.
-    fn singles(&self) -> Vec<(&str, ())> {
-        let singles = self.lists.iter().filter(|list| list.fault.is_none() && list.arity == 1);
-        singles.map(|list| (&*list.name, ())).collect()
+    /// These lists as columns.
+    fn columns(&self) -> Columns {
+        let name = |index: usize| (&*self.lists[index].name, ());
+        group_columns(&self.singles().into_iter().map(name).collect::<Vec<_>>())
     }
 
     /// See [`looks_like_particles`]. If the text `is_cut`, the last list is incomplete.
-    fn has_positions(&self, is_cut: bool) -> bool {
-        if self.has_records && self.lists.iter().any(|list| list.fault.is_some()) {
-            return false;
-        }
+    fn have_positions(&self, is_cut: bool) -> bool {
         let is_position =
-            |list: &JsonList| list.is_vector_position() || list.is_flat_position() && list.numbers.len() > 3;
-        if self.lists.iter().any(is_position) || group_columns(&self.singles()).position.is_some() {
-            return true;
-        }
+            |list: &JsonList| list.is_vector_position() || list.is_flat_position() && list.values.len() > 3;
         // The positions may follow a long list of another quantity, or y and z may follow x.
-        let Some(last) = self.lists.last().filter(|list| is_cut && list.numbers.len() > LONG_LIST) else {
-            return false;
+        let may_follow = |last: &JsonList| {
+            let is_known = position_rank(&last.name).is_some() || role_of(&last.name, last.arity).is_some();
+            is_cut && is_known && last.values.len() > LONG_LIST
         };
-        let mut stem = last.name.chars();
-        stem.next_back();
-        let columns = ["x", "y", "z"].map(|end| format!("{}{end}", stem.as_str()));
-        let columns = columns.each_ref().map(|name| (&**name, ()));
-        let is_axis = last.arity == 1 && columns.iter().any(|(name, ())| *name == last.name);
-        role_of(&last.name, last.arity).is_some() || is_axis && group_columns(&columns).position.is_some()
+        !(self.has_records && self.lists.iter().any(|list| list.fault.is_some()))
+            && (self.lists.iter().any(is_position)
+                || self.columns().position.is_some()
+                || self.lists.last().is_some_and(may_follow))
     }
 
     fn into_frame(mut self) -> Result<ParticleFrame> {
@@ -368,66 +315,71 @@ impl JsonLists {
             |list: JsonList| format!("skipped `{}`: {}", excerpt(&list.name), list.fault.unwrap_or_default());
         let mut notes: Vec<String> = skipped.map(note).collect();
         notes.extend(self.split_flat());
-        let found: Vec<String> = self.lists.iter().map(|list| list.name.clone()).collect();
-        let mut arrays = self.into_arrays();
+        let no_positions = no_positions(&self.lists, &notes);
+        self.join_columns();
+        let mut arrays: Vec<NamedArray> = self.lists.into_iter().map(array_of).collect();
         let unnamed = arrays.iter().position(|array| array.name.is_empty()).map(|index| arrays.remove(index));
-        let mut frame = match unnamed {
-            Some(array) => {
-                let first = unnamed_frame(array).map_err(|error| error.with_format(FORMAT))?;
-                let mut frame = frame_of(Some(first.positions), arrays).unwrap_or_default();
-                frame.attributes.extend(first.attributes);
-                notes.extend(first.notes);
-                frame
-            }
-            None => frame_of(None, arrays).ok_or_else(|| no_positions(&found, &notes))?,
-        };
-        frame.notes.extend(notes);
+        let first = unnamed.map(unnamed_frame).transpose().map_err(|error| error.with_format(FORMAT))?;
+        let (positions, others) =
+            first.map(|first| (first.positions, (first.attributes, first.notes))).unzip();
+        let mut frame = frame_of(positions, arrays).ok_or(no_positions)?;
+        let (attributes, more) = others.unwrap_or_default();
+        frame.attributes.extend(attributes);
+        frame.notes.extend(more.into_iter().chain(notes));
         Ok(frame)
     }
 
     /// If the only positions are a flat list, splits it and the lists of other vectors.
     fn split_flat(&mut self) -> Option<String> {
-        let has_other = self.lists.iter().any(JsonList::is_vector_position)
-            || group_columns(&self.singles()).position.is_some();
-        let can_split = |list: &&JsonList| list.is_flat_position() && list.numbers.len().is_multiple_of(3);
+        let has_other =
+            self.lists.iter().any(JsonList::is_vector_position) || self.columns().position.is_some();
+        let can_split = |list: &&JsonList| list.is_flat_position() && list.values.len().is_multiple_of(3);
         let flat = self.lists.iter().filter(|list| !has_other && can_split(list));
         let position = flat.min_by_key(|list| position_rank(&list.name))?;
-        let (count, name) = (position.numbers.len() / 3, excerpt(&position.name));
+        let (count, name) = (position.values.len() / 3, excerpt(&position.name));
         for list in self.lists.iter_mut().filter(|list| list.arity == 1) {
-            let arities = [1, 2, 3, 4];
-            list.arity = arities.into_iter().find(|arity| arity * count == list.numbers.len()).unwrap_or(1);
+            list.arity = (1..=4).find(|arity| arity * count == list.values.len()).unwrap_or(1);
         }
         Some(format!("each three numbers of `{name}` are a position"))
     }
 
-    /// The lists as arrays. If all values of an attribute are integers, its role decides their type; columns
-    /// that belong together get one type.
-    fn into_arrays(mut self) -> Vec<NamedArray> {
-        let names = self.singles();
-        let groups = group_columns(&names);
-        let mut roles: Vec<_> = self.lists.iter().map(|list| role_of(&list.name, list.arity)).collect();
-        let singles: Vec<usize> =
-            (0..self.lists.len()).filter(|&index| self.lists[index].arity == 1).collect();
-        let mut mixed = Vec::new();
-        for group in groups.groups {
-            let members = || group.columns.iter().map(|&column| singles[column]);
-            members().for_each(|index| roles[index] = group.role);
-            if members().any(|index| matches!(self.lists[index].numbers, JsonNumbers::Reals(_))) {
-                mixed.extend(members());
+    /// Joins the lists of the components of a vector. Those that have only integers may be reals, too.
+    fn join_columns(&mut self) {
+        let singles = self.singles();
+        for group in self.columns().groups.into_iter().filter(|group| group.arity() > 1) {
+            let members: Vec<usize> = group.columns.iter().map(|&column| singles[column]).collect();
+            if members.iter().any(|&index| matches!(self.lists[index].values, Values::F64(_))) {
+                members.iter().for_each(|&index| self.lists[index].widen());
+            }
+            let values: Vec<&Values> = members.iter().map(|&index| &self.lists[index].values).collect();
+            if let Some(values) = interleaved(&values) {
+                members.iter().for_each(|&index| self.lists[index].skip(String::new()));
+                let list = JsonList { arity: members.len(), values, ..JsonList::new(group.name) };
+                self.lists[members[0]] = list;
             }
         }
-        mixed.into_iter().for_each(|index| self.lists[index].numbers.widen());
-        let array = |(list, role): (JsonList, _)| {
-            let values = match list.numbers {
-                JsonNumbers::Integers(integers) => of_integers(integers, role),
-                JsonNumbers::Reals(reals) => Values::F64(reals),
-            };
-            // An empty list fits any number of values.
-            let arity = if list.arity == 0 { 3 } else { list.arity };
-            NamedArray { name: list.name, arity, values }
-        };
-        self.lists.into_iter().zip(roles).map(array).collect()
+        self.lists.retain(|list| list.fault.is_none());
     }
+}
+
+fn array_of(JsonList { name, arity, values, .. }: JsonList) -> NamedArray {
+    let values = match values {
+        Values::I64(integers) => of_integers(integers, role_of(&name, arity)),
+        values => values,
+    };
+    // An empty list fits any number of values.
+    NamedArray { name, arity: if arity == 0 { 3 } else { arity }, values }
+}
+
+fn no_positions(lists: &[JsonList], notes: &[String]) -> Error {
+    let names = excerpts(lists.iter().map(|list| &list.name));
+    let what = "no positions: expected [[x, y, z], ..], records with x, y and z, or an object with a list \
+                `positions` or with lists x, y and z; found the lists: ";
+    Error::invalid(
+        FORMAT,
+        Position::File,
+        [&[format!("{what}{names}")], notes.get(..1).unwrap_or_default()].concat().join("; "),
+    )
 }
 
 /// The most numbers of a particle without names.
@@ -436,20 +388,6 @@ const ROW_MAX: usize = 32;
 /// More numbers than a setting has.
 const LONG_LIST: usize = 64;
 
-fn no_positions(found: &[String], notes: &[String]) -> Error {
-    let mut what =
-        "no positions: expected [[x, y, z], ..], records with x, y and z, or an object with a list \
-                    `positions` or with the lists x, y and z"
-            .to_owned();
-    if !found.is_empty() {
-        what += &format!("; found the lists {}", excerpts(found));
-    }
-    if let Some(note) = notes.first() {
-        what += &format!("; {note}");
-    }
-    Error::invalid(FORMAT, Position::File, what)
-}
-
 /// A JSON text, read from start to end.
 struct JsonText<'a> {
     bytes: &'a [u8],
@@ -457,17 +395,17 @@ struct JsonText<'a> {
 }
 
 impl<'a> JsonText<'a> {
-    fn invalid(&self, what: impl Into<String>) -> JsonFault {
+    fn invalid(&self, what: impl Into<String>) -> Error {
         self.invalid_at(self.at, what)
     }
 
-    fn invalid_at(&self, at: usize, what: impl Into<String>) -> JsonFault {
-        JsonFault { kind: JsonFaultKind::Invalid, at, what: what.into() }
+    fn invalid_at(&self, at: usize, what: impl Into<String>) -> Error {
+        Error::invalid(FORMAT, Position::Offset(at as u64), what)
     }
 
-    fn cut(&self, expected: &str) -> JsonFault {
+    fn cut(&self, expected: &str) -> Error {
         let what = format!("the file ends where {expected} was expected");
-        JsonFault { kind: JsonFaultKind::Cut, at: self.bytes.len(), what }
+        Error::truncated(FORMAT, Position::Offset(self.bytes.len() as u64), what)
     }
 
     /// Goes to the next byte that is not white space.
@@ -478,7 +416,7 @@ impl<'a> JsonText<'a> {
     }
 
     /// As `skip_space`; `expected` is named in the error at the end of the text.
-    fn peek(&mut self, expected: &str) -> Parsed<u8> {
+    fn peek(&mut self, expected: &str) -> Result<u8> {
         self.skip_space().ok_or_else(|| self.cut(expected))
     }
 
@@ -492,7 +430,7 @@ impl<'a> JsonText<'a> {
         })
     }
 
-    fn take(&mut self, expected: u8) -> Parsed<()> {
+    fn take(&mut self, expected: u8) -> Result<()> {
         let shown = char::from(expected);
         match self.skip_space() {
             Some(found) if found == expected => {
@@ -505,7 +443,7 @@ impl<'a> JsonText<'a> {
     }
 
     /// Goes into a list or an object; returns whether it has a value.
-    fn opens(&mut self, end: u8) -> Parsed<bool> {
+    fn opens(&mut self, end: u8) -> Result<bool> {
         self.take(if end == b']' { b'[' } else { b'{' })?;
         let has_value = self.peek("a value")? != end;
         self.at += usize::from(!has_value);
@@ -513,7 +451,7 @@ impl<'a> JsonText<'a> {
     }
 
     /// Goes on after a value of a list or an object; returns whether there is another.
-    fn continues(&mut self, end: u8) -> Parsed<bool> {
+    fn continues(&mut self, end: u8) -> Result<bool> {
         let found = self.peek("`,` or the end of the list")?;
         if found != b',' && found != end {
             let end = char::from(end);
@@ -539,7 +477,7 @@ impl<'a> JsonText<'a> {
     }
 
     /// A name and the colon after it.
-    fn key(&mut self) -> Parsed<Cow<'a, str>> {
+    fn key(&mut self) -> Result<Cow<'a, str>> {
         let start = self.at;
         self.take(b'"')?;
         self.skip_string()?;
@@ -558,7 +496,7 @@ impl<'a> JsonText<'a> {
     }
 
     /// Goes to the end of a string, from the byte after its first quote.
-    fn skip_string(&mut self) -> Parsed<()> {
+    fn skip_string(&mut self) -> Result<()> {
         loop {
             let rest = self.bytes.get(self.at..).unwrap_or_default();
             let Some(length) = rest.iter().position(|byte| matches!(byte, b'"' | b'\\')) else {
@@ -573,7 +511,7 @@ impl<'a> JsonText<'a> {
     }
 
     /// A word up to the next delimiter; empty if there is none.
-    fn word(&mut self) -> Parsed<&'a [u8]> {
+    fn word(&mut self) -> Result<&'a [u8]> {
         let rest = self.bytes.get(self.at..).unwrap_or_default();
         let is_part = |byte: &u8| byte.is_ascii_alphanumeric() || b"+-._".contains(byte);
         let Some(length) = rest.iter().position(|byte| !is_part(byte)) else {
@@ -583,7 +521,7 @@ impl<'a> JsonText<'a> {
         Ok(&rest[..length])
     }
 
-    fn number(&mut self) -> Parsed<JsonNumber> {
+    fn number(&mut self) -> Result<JsonNumber> {
         self.peek("a number")?;
         let at = self.at;
         let word = self.word()?;
@@ -603,7 +541,7 @@ impl<'a> JsonText<'a> {
     }
 
     /// Goes to the end of any value. Does not check what is between its brackets.
-    fn skip_value(&mut self) -> Parsed<()> {
+    fn skip_value(&mut self) -> Result<()> {
         let mut depth = 0usize;
         loop {
             match self.peek("the end of a value")? {

@@ -105,19 +105,17 @@ pub fn probe(bytes: &[u8], file_name: &str) -> Probe {
 ///
 /// The answer is yes if [`probe()`] recognises a particle format, even if the file turns out to be invalid.
 /// Delimited text must also start like a table: with a header that names a position and fits the row below
-/// it, or with a row of at least three numbers. `head` should have 8 KiB unless the file is shorter; it may
-/// be compressed.
+/// it, or with a row of at least three numbers. JSON must have positions. `head` should have 8 KiB unless the
+/// file is shorter; it may be compressed.
 pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
-    match probe(head, file_name).kind {
-        ProbedKind::Format(Format::Delimited) => match Codec::of(head) {
-            Some(codec) => csv::looks_like_particles(&codec.decompress_head(head, HEAD_BYTES)),
-            None => csv::looks_like_particles(head),
-        },
-        ProbedKind::Format(Format::Json) => match Codec::of(head) {
-            Some(codec) => json::looks_like_particles(&codec.decompress_head(head, HEAD_BYTES)),
-            None => json::looks_like_particles(head),
-        },
-        kind => kind.format().is_some_and(Format::has_particles),
+    let looks: fn(&[u8]) -> bool = match probe(head, file_name).kind {
+        ProbedKind::Format(Format::Delimited) => csv::looks_like_particles,
+        ProbedKind::Format(Format::Json) => json::looks_like_particles,
+        kind => return kind.format().is_some_and(Format::has_particles),
+    };
+    match Codec::of(head) {
+        Some(codec) => looks(&codec.decompress_head(head, HEAD_BYTES)),
+        None => looks(head),
     }
 }
 
@@ -141,7 +139,7 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
     if (head.starts_with(b"FOR4") || head.starts_with(b"FOR8"))
         && contains(&head[..head.len().min(32)], b"CACH")
     {
-        return ProbedKind::Foreign(MAYA_CACHE);
+        return ProbedKind::Foreign(MAYA);
     }
     if head.starts_with(b"PK\x03\x04") {
         let is_npz = name.ends_with(".npz") || first_member(head).is_some_and(|name| name.ends_with(b".npy"));
@@ -376,14 +374,17 @@ const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
     (b"NanoVDB", "NanoVDB"),
     (b"\xc0PRT2\r\n\x1a", PRT2),
     (b"\xda\xba\xfa\0", REALFLOW),
-    (b"\x9e\x02\0\0\x01\0\0\0\0\0\x80\x3f", MAYA_PDB),
-    (b"PDC \0", MAYA_PDC),
+    (b"\x9e\x02\0\0\x01\0\0\0\0\0\x80\x3f", MAYA),
+    (b"PDC \0", MAYA),
     (b"pptc\0\0\0\0", PTC),
     (b"pptc\x01\0\0\0", PTC),
     (b"pptc\x02\0\0\0", PTC),
     (b"##RenderMan RIB", RIB),
     (b"version 3.04\n", RIB),
     (b"ADIOS-BP v", ADIOS),
+    // Before the check for text, because a binary list follows the header.
+    (b"FoamFile\n", OPENFOAM),
+    (b"/*--------------------------------*- C++ -*---", OPENFOAM),
     (b"#FileJBD ", BI4),
     (b"#File BINX-", BI4),
     (b"#!TDV", TECPLOT),
@@ -431,9 +432,7 @@ pub(crate) const REMEDIES: &[(&str, &str)] = &[
     ),
     (PRT2, "this is PRT 2, and only 1.0 and 1.1 are supported: save it as PRT 1.1"),
     (REALFLOW, PARTIO),
-    (MAYA_PDB, PARTIO),
-    (MAYA_PDC, PARTIO),
-    (MAYA_CACHE, PARTIO),
+    (MAYA, PARTIO),
     (PTC, PARTIO),
     (RIB, "a scene for RenderMan: give the particles that it was made from, for example as BGEO"),
     (
@@ -473,9 +472,7 @@ const PCD: &str = "PCD point cloud";
 const BI4: &str = "DualSPHysics .bi4";
 const PRT2: &str = "Krakatoa PRT 2";
 const REALFLOW: &str = "RealFlow BIN";
-const MAYA_PDB: &str = "Maya .pdb particles";
-const MAYA_PDC: &str = "Maya .pdc particles";
-const MAYA_CACHE: &str = "Maya nCache";
+const MAYA: &str = "Maya particles (.pdb, .pdc or nCache)";
 const PTC: &str = "RenderMan point cloud (.ptc)";
 const RIB: &str = "RenderMan RIB";
 const E57: &str = "E57";
@@ -536,10 +533,10 @@ mod tests {
             (b"\xc0PRT\r\n\x1a\n\x38", "a", ProbedKind::Format(Format::Prt)),
             (b"\xc0PRT2\r\n\x1a\x03", "a.prt", ProbedKind::Foreign(PRT2)),
             (b"\xda\xba\xfa\0Circle", "a.bin", ProbedKind::Foreign(REALFLOW)),
-            (b"\x9e\x02\0\0\x01\0\0\0\0\0\x80\x3f\0", "a.pdb", ProbedKind::Foreign(MAYA_PDB)),
-            (b"PDC \0\0\0\x01\0\0\0\x01", "a.pdc", ProbedKind::Foreign(MAYA_PDC)),
-            (b"FOR4\0\0\0(CACHVRSN", "a.mc", ProbedKind::Foreign(MAYA_CACHE)),
-            (b"FOR8\0\0\0\0\0\0\0\0\0\0\0\x28CACHVRSN", "a.mcx", ProbedKind::Foreign(MAYA_CACHE)),
+            (b"\x9e\x02\0\0\x01\0\0\0\0\0\x80\x3f\0", "a.pdb", ProbedKind::Foreign(MAYA)),
+            (b"PDC \0\0\0\x01\0\0\0\x01", "a.pdc", ProbedKind::Foreign(MAYA)),
+            (b"FOR4\0\0\0(CACHVRSN", "a.mc", ProbedKind::Foreign(MAYA)),
+            (b"FOR8\0\0\0\0\0\0\0\0\0\0\0\x28CACHVRSN", "a.mcx", ProbedKind::Foreign(MAYA)),
             (b"FOR4\0\0\0(Maya", "a.mb", ProbedKind::Unknown),
             (b"pptc\x01\0\0\0\0", "a.ptc", ProbedKind::Foreign(PTC)),
             (b"##RenderMan RIB-Structure 1.0\n", "a.rib", ProbedKind::Foreign(RIB)),
@@ -623,6 +620,7 @@ mod tests {
                 ProbedKind::Foreign(TECPLOT),
             ),
             (b"FoamFile\n{ class Cloud; }\n1\n(\n(1 2 3) 0\n)\n", "positions", ProbedKind::Foreign(OPENFOAM)),
+            (b"FoamFile\n{ format binary; }\n1\n(\0\x01)", "positions", ProbedKind::Foreign(OPENFOAM)),
             (b"PK\x03\x04", "a.npz", ProbedKind::Format(Format::Npz)),
             (b"PK\x03\x04", "a.zip", ProbedKind::Foreign("ZIP archive")),
             (
@@ -695,7 +693,6 @@ mod tests {
             ("{\"velocities\": [[0.5, 1, 2]", true),
             ("{\"id\": [1", true),
             ("{\"x\": [1", true),
-            ("{\"pos_x\": [1", true),
             ("{\"loss\": [1", false),
             ("{\"max\": [1", false),
         ] {

@@ -40,19 +40,10 @@ const CHANNEL_BYTES: usize = 44;
 const PIECE_BYTES: usize = 256 << 10;
 
 /// The types of channels, by number.
-const TYPES: [NumberType; 11] = [
-    NumberType::I16,
-    NumberType::I32,
-    NumberType::I64,
-    NumberType::F16,
-    NumberType::F32,
-    NumberType::F64,
-    NumberType::U16,
-    NumberType::U32,
-    NumberType::U64,
-    NumberType::I8,
-    NumberType::U8,
-];
+const TYPES: [NumberType; 11] = {
+    use NumberType::{F16, F32, F64, I8, I16, I32, I64, U8, U16, U32, U64};
+    [I16, I32, I64, F16, F32, F64, U16, U32, U64, I8, U8]
+};
 
 /// Reads the particles of a PRT file.
 ///

@@ -183,7 +183,34 @@ fn worst_files() -> Vec<(&'static str, Vec<u8>, &'static str)> {
         ("narrow numbers of Houdini", geometry(8 << 20, &narrow), "the arrays expand to more than"),
         ("flags of Houdini", geometry(u32::MAX, &flags), "the arrays expand to more than"),
         ("words of Houdini", geometry(1, &texts), "the strings of an array have"),
+        (
+            "names of JSON",
+            format!("{{{}", names_of_json(500_000)).into(),
+            "names, more than the limit of 4096",
+        ),
+        ("depth of JSON", [b"{\"a\":".to_vec(), vec![b'['; 8 << 20]].concat(), "the file ends where"),
+        ("depth of a list of JSON", vec![b'['; 8 << 20], "several frames"),
+        (
+            "row of JSON",
+            ["[[", &"0,".repeat(4 << 20), "0]]"].concat().into(),
+            "expected at most 32 numbers, found more",
+        ),
+        (
+            "channels of PRT",
+            fixtures::prt(1, &[], 1, &[("Position", 4, 3, 0); 4096], &[0; 12]),
+            "the channels overlap",
+        ),
+        (
+            "zeros of PRT",
+            fixtures::prt(1, &[], 1 << 23, &[("Position", 4, 3, 0)], &vec![0; 12 << 23]),
+            "expands to more than 200 times",
+        ),
     ]
+}
+
+/// Names with values that are skipped, each with a note.
+fn names_of_json(count: usize) -> String {
+    (0..count).map(|n| format!("\"{n}\":[\"\"],")).collect()
 }
 
 #[test]

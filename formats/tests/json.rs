@@ -74,7 +74,7 @@ fn lists_have_attributes() {
     assert_eq!(attribute(&frame, "width").values, Values::F64(vec![0.25, 0.125]));
     let notes = frame.notes.join("\n");
     for words in
-        ["skipped `time`: it is a single value", "`meta`: it is an object", "`tags`: at byte", "diameter"]
+        ["skipped `time`: it is not a list", "`meta`: it is not a list", "`tags`: at byte", "diameter"]
     {
         assert!(notes.contains(words), "`{words}` in {notes}");
     }
@@ -94,7 +94,8 @@ fn invalid_texts_are_errors_with_a_reason() {
     for (text, words) in [
         ("[[1, 2, 3],\n[4, 5]]", "at line 2: expected 3 numbers, found 2"),
         ("[[1, 2, 3], [4, 5]]", "at byte 12: expected 3 numbers, found 2"),
-        ("[[1, 2]]", "expected three numbers, [x, y, z], found 2"),
+        ("[[1, 2, 3],\n\n [4, 5, 6, 7]]", "at line 3: expected at most 3 numbers, found more"),
+        ("[[1, 2]]", "expected lists of three numbers, [x, y, z], found 2"),
         ("[[]]", "expected 3 numbers, found 0"),
         ("[[1, 2, \"3\"]]", "at byte 8: expected a number, found `\"3\"]]`"),
         ("[[1, 2, 0x3]]", "expected a number, found `0x3]]`"),
@@ -102,11 +103,13 @@ fn invalid_texts_are_errors_with_a_reason() {
         ("[[1, 2, 3,]]", "expected a number, found `]]`"),
         ("[[1, 2, 3]] 4", "at byte 12: expected the end of the file"),
         ("[[1, 2, 3]]\n[[1, 2, 3]]", "at line 2: expected the end of the file"),
-        ("[1, 2, 3]", "expected positions: a list [x, y, z]"),
+        ("[1, 2, 3]", "expected lists of three numbers, [x, y, z], found 1"),
         ("[[[1, 2, 3]]]", "has several frames"),
         ("[{\"x\": 1}, {\"y\": 2}]", "the first record has no `y`"),
         ("[{\"x\": 1}, {}]", "expected `x` once in each record"),
         ("[{\"x\": 1, \"x\": 1}]", "expected `x` once"),
+        ("[{\"position\": [1, 2, \"a\"]}]", "at byte 21: expected a number"),
+        ("[{\"v\": 1}, 3]", "expected `{`, found `3]`"),
         ("[{x: 1}]", "expected `\"`, found `x:`"),
         ("{\"a\": 1, \"a\": 2}", "the name `a` appears twice"),
         ("{\"a\": ]}", "expected a value, found `]}`"),
@@ -115,7 +118,7 @@ fn invalid_texts_are_errors_with_a_reason() {
         ("{\"positions\": [[1, 2], [3, 4]]}", "no positions"),
         (
             "{\"x\": [1], \"y\": [2], \"note\": \"a\"}",
-            "found the lists x, y; skipped `note`: it is a single value",
+            "found the lists: x, y; skipped `note`: it is not a list",
         ),
         ("{\"x\": [1], \"y\": [2], \"z\": [1, 2]}", "no positions"),
         ("{\"particles\": [], \"Particles\": []}", "appears twice"),
@@ -128,5 +131,5 @@ fn invalid_texts_are_errors_with_a_reason() {
     }
     let names: String = (0..5000).map(|n| format!("\"a{n}\":0,")).collect();
     let error = read(&format!("{{{names}")).unwrap_err().to_string();
-    assert!(error.contains("more names than the limit of 4096"), "{error}");
+    assert!(error.contains("names, more than the limit of 4096"), "{error}");
 }
