@@ -13,6 +13,7 @@ use crate::compression::{Codec, name_without_compression};
 use crate::csv;
 use crate::table::Format;
 use crate::text::{Lines, parse_number};
+use crate::xdmf::looks_like_xdmf;
 use crate::xyz_ext::looks_like_atoms;
 
 /// What a file was recognised as.
@@ -141,6 +142,9 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
     if text.starts_with(b"<") && (contains(text, b"<VTKFile") || is_named_vtk() && !contains(text, b"<html"))
     {
         return ProbedKind::Format(Format::Vtp);
+    }
+    if looks_like_xdmf(text) {
+        return ProbedKind::Format(Format::Xdmf);
     }
     if !is_text(head) {
         // A binary STL file has no signature: only its name, or this program's own header, identifies it.
@@ -341,7 +345,6 @@ fn looks_like_tecplot(text: &[u8]) -> bool {
 
 /// Signatures of formats that are recognised only for error messages.
 const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
-    (b"\x89HDF\r\n\x1a\n", "HDF5"),
     (b"CDF\x01", "netCDF"),
     (b"CDF\x02", "netCDF"),
     (b"NanoVDB", "NanoVDB"),
@@ -521,6 +524,8 @@ mod tests {
                 ProbedKind::Foreign(TECPLOT),
             ),
             (b"FoamFile\n{ class Cloud; }\n1\n(\n(1 2 3) 0\n)\n", "positions", ProbedKind::Foreign(OPENFOAM)),
+            (b"<?xml version=\"1.0\" ?>\n<Xdmf Version=\"3.0\">", "a", ProbedKind::Format(Format::Xdmf)),
+            (b"\x89HDF\r\n\x1a\n\0", "a", ProbedKind::Format(Format::Hdf5)),
             (b"PK\x03\x04", "a.npz", ProbedKind::Format(Format::Npz)),
             (b"PK\x03\x04", "a.zip", ProbedKind::Foreign("ZIP archive")),
             (

@@ -127,6 +127,10 @@ formats! {
         Npy => crate::npy::ROW,
         /// Named NumPy arrays in a ZIP archive.
         Npz => crate::npy::ARCHIVE_ROW,
+        /// HDF5, with one frame or several.
+        Hdf5 => crate::hdf5::ROW,
+        /// XDMF: an index of data sets in HDF5 files.
+        Xdmf => crate::xdmf::ROW,
     }
 }
 

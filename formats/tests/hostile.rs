@@ -14,9 +14,9 @@ use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use meniscus_formats::{
-    AttributeRole, BandGrid, FileAttribute, LeafValues, LevelSetView, Limits, MeshOptions, MeshView,
-    OutputFormat, ParticleBatch, ParticleBatches, Result, Values, abc, bgeo, csv, lammps, ply, read_mesh,
-    read_obstacle, read_particles, usdc, vdb,
+    AttributeRole, BandGrid, ContainerFile, FileAttribute, LeafValues, LevelSetView, Limits, MeshOptions,
+    MeshView, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ReadAt, Result, Sample, Values,
+    abc, bgeo, csv, hdf5, lammps, ply, read_mesh, read_obstacle, read_particles, usdc, vdb, xdmf,
 };
 use peak_alloc::PeakAlloc;
 
@@ -102,6 +102,37 @@ fn damaged_files_of_other_formats_do_not_panic() {
     let _alone = alone();
     for (name, bytes) in fixtures::all() {
         sweep(&name, &bytes, |bytes| read_particles(bytes, &name, &Limits::default()));
+    }
+}
+
+/// The frames of a container of this size that is damaged: all of the first few are read.
+fn read_all(
+    bytes: &[u8],
+    samples: fn(&ContainerFile, &Limits) -> Result<Vec<Sample>>,
+    read: fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame>,
+) -> Result<()> {
+    let other = fixtures::hdf5_files().swap_remove(0).1; // for each name
+    let open = |_: &str| Ok(Box::new(fixtures::Bytes(other.clone())) as Box<dyn ReadAt>);
+    let container = ContainerFile { file: &bytes, name: "a", open: &open };
+    let count = samples(&container, &Limits::default())?.len();
+    (0..count.clamp(1, 3)).try_for_each(|index| read(&container, index, &Limits::default()).map(drop))
+}
+
+#[test]
+fn damaged_hdf5_files_do_not_panic() {
+    let _alone = alone();
+    for (name, bytes) in fixtures::hdf5_files() {
+        sweep(&name, &bytes, |bytes| read_all(bytes, hdf5::samples, hdf5::read));
+    }
+}
+
+#[test]
+fn damaged_xdmf_files_do_not_panic() {
+    let _alone = alone();
+    for turn in 0..10 {
+        sweep(&format!("{turn}.xmf"), fixtures::XDMF.as_bytes(), |bytes| {
+            read_all(bytes, xdmf::samples, xdmf::read)
+        });
     }
 }
 
