@@ -54,7 +54,7 @@ pub fn samples(container: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>
     let frames = frames(&text, limits)?;
     let first = frames.first().and_then(|frame| frame.grids.first());
     if let Some(range) = first
-        && !has_points(&text[range.clone()])
+        && !grid(&text[range.clone()], 0).is_ok_and(|grid| grid.has_points())
     {
         return Ok(Vec::new());
     }
@@ -327,18 +327,11 @@ struct DataItem<'a> {
     text: &'a str,
 }
 
-fn has_points(text: &str) -> bool {
-    grid(text, 0).is_ok_and(|grid| grid.coordinate_count().is_some())
-}
-
 impl XdmfGrid<'_> {
-    /// The number of coordinates of a point; `None` if the grid does not list its points.
-    fn coordinate_count(&self) -> Option<usize> {
-        match self.geometry.as_deref()?.to_ascii_uppercase().as_str() {
-            "XYZ" | "X_Y_Z" | "" => Some(3),
-            "XY" | "X_Y" => Some(2),
-            _ => None,
-        }
+    /// Whether the grid lists its points, each with three coordinates.
+    fn has_points(&self) -> bool {
+        let is_listed = |kind: &String| ["XYZ", "X_Y_Z", ""].contains(&&*kind.to_ascii_uppercase());
+        self.geometry.as_ref().is_some_and(is_listed)
     }
 }
 
@@ -449,14 +442,10 @@ fn piece(
     notes: &mut Vec<String>,
 ) -> Result<VtkPiece> {
     let grid = grid(&text[range.clone()], range.start as u64)?;
-    let Some(width) = grid.coordinate_count() else {
-        let kind = grid.geometry.as_deref().unwrap_or("none");
-        let what = format!(
-            "a geometry of the type XYZ was expected, found {}: this is not particles",
-            excerpt(kind)
-        );
-        return Err(unsupported(what));
-    };
+    if !grid.has_points() {
+        let kind = excerpt(grid.geometry.as_deref().unwrap_or("none"));
+        return Err(unsupported(format!("expected a geometry of the type XYZ, found {kind}: not particles")));
+    }
     if !["polyvertex", ""].contains(&&*grid.topology.to_ascii_lowercase()) {
         notes
             .push(format!("cells of the type {} are ignored: only points are read", excerpt(&grid.topology)));
@@ -464,17 +453,8 @@ fn piece(
     let mut columns: Vec<Values> =
         grid.points.iter().map(|item| items.values(item)).collect::<Result<_>>()?;
     let at = grid.points.first().map_or(range.start as u64, |item| item.at);
-    if width == 2 {
-        notes.push("the positions have no z, which is set to 0".to_owned());
-    }
-    let values = match &mut columns[..] {
-        [all] if width == 2 => {
-            let flat = crate::named_arrays::widened(all).ok_or_else(|| malformed(at, "expected numbers"))?;
-            let Values::F64(flat) = flat else { return Err(malformed(at, "expected numbers")) };
-            Some(Values::F64(flat.as_chunks().0.iter().flat_map(|&[x, y]| [x, y, 0.0]).collect()))
-        }
-        [all] => Some(std::mem::replace(all, Values::U8(Vec::new()))),
-        [x, y] if width == 2 => interleaved(&[x, y, &zeros_like(x)]),
+    let values = match &columns[..] {
+        [_] => columns.pop(),
         [x, y, z] => interleaved(&[x, y, z]),
         _ => None,
     };
@@ -611,24 +591,14 @@ fn parsed(item: &DataItem, number: NumberType, count: u64) -> Result<Values> {
     })
 }
 
-fn zeros_like(values: &Values) -> Values {
-    match values {
-        Values::F32(values) => Values::F32(vec![0.0; values.len()]),
-        _ => Values::F64(vec![0.0; values.len()]),
-    }
-}
-
 /// An error in a file that the index names.
 fn within(error: Error, path: &str) -> Error {
+    let what = format!("{}: {error}", excerpt(path));
     match error {
-        Error::Truncated { position, what, .. } => {
-            Error::truncated(FORMAT, Position::File, format!("{}, {position}: {what}", excerpt(path)))
-        }
-        Error::Invalid { position, what, .. } => {
-            Error::invalid(FORMAT, Position::File, format!("{}, {position}: {what}", excerpt(path)))
-        }
-        Error::Unsupported { what, .. } => unsupported(format!("{}: {what}", excerpt(path))),
-        Error::TooLarge { what, .. } => Error::too_large(FORMAT, format!("{}: {what}", excerpt(path))),
-        other => other,
+        Error::Truncated { .. } => Error::truncated(FORMAT, Position::File, what),
+        Error::Invalid { .. } => Error::invalid(FORMAT, Position::File, what),
+        Error::Unsupported { .. } => unsupported(what),
+        Error::TooLarge { .. } => Error::too_large(FORMAT, what),
+        Error::Io(_) | Error::MemoryLimit { .. } => error,
     }
 }
