@@ -159,6 +159,8 @@ enum XmlEvent<'a, 'b> {
 /// The grids of a time: ranges of the text.
 struct XdmfFrame {
     time: Option<f64>,
+    /// The number of the child of a temporal collection in which they are.
+    step: Option<usize>,
     grids: Vec<Range<usize>>,
 }
 
@@ -166,7 +168,6 @@ struct XdmfFrame {
 struct FoundGrid {
     range: Range<usize>,
     time: Option<f64>,
-    /// The number of the child of a temporal collection in which it is.
     step: Option<usize>,
 }
 
@@ -176,31 +177,21 @@ struct OpenGrid {
     is_temporal: bool,
     is_uniform: bool,
     step: Option<usize>,
-    /// The numbers of grids and steps before it.
+    /// The number of grids before it.
     grids_before: usize,
-    steps_before: usize,
     time: Option<f64>,
-    /// The times of the grids in it, and whether they are start, stride and count.
-    times: (Vec<f64>, bool),
 }
 
 /// The frames of the file: the children of a temporal collection, or the grids of each time.
 fn frames(text: &str, limits: &Limits) -> Result<Vec<XdmfFrame>> {
     let mut frames: Vec<XdmfFrame> = Vec::new();
-    let mut steps: Vec<(usize, usize)> = Vec::new();
     for FoundGrid { range, time, step } in found_grids(text, limits)? {
-        let known = match step {
-            Some(step) => steps.last().filter(|(last, _)| *last == step).map(|&(_, index)| index),
+        match frames.last_mut() {
             // Grids of one time follow one another.
-            None => frames.len().checked_sub(1).filter(|&last| frames[last].time == time),
-        };
-        match known {
-            Some(index) => frames[index].grids.push(range),
-            None => {
-                limits.check_step(FORMAT, frames.len())?;
-                steps.extend(step.map(|step| (step, frames.len())));
-                frames.push(XdmfFrame { time, grids: vec![range] });
+            Some(last) if last.step == step && (step.is_some() || last.time == time) => {
+                last.grids.push(range)
             }
+            _ => frames.push(XdmfFrame { time, step, grids: vec![range] }),
         }
     }
     Ok(frames)
@@ -209,22 +200,20 @@ fn frames(text: &str, limits: &Limits) -> Result<Vec<XdmfFrame>> {
 fn found_grids(text: &str, limits: &Limits) -> Result<Vec<FoundGrid>> {
     let mut found: Vec<FoundGrid> = Vec::new();
     let mut open: Vec<OpenGrid> = Vec::new();
-    let (mut step_count, mut is_in_time) = (0, false);
+    let mut step_count = 0;
     parse(text, |event, range| {
         match event {
             XmlEvent::Start("Grid", tag) => {
                 if open.len() >= DEPTH_MAX {
-                    return Err(malformed(
-                        range.start,
-                        format!("grids are nested more than {DEPTH_MAX} deep"),
-                    ));
+                    let what = format!("grids are nested more than {DEPTH_MAX} deep");
+                    return Err(malformed(range.start, what));
                 }
                 let kind = value(tag, &["GridType"], range.start)?.unwrap_or_default().to_ascii_lowercase();
                 let collection = value(tag, &["CollectionType"], range.start)?.unwrap_or_default();
                 let step = match open.last() {
                     Some(parent) if parent.is_temporal => {
                         step_count += 1;
-                        Some(step_count - 1)
+                        Some(step_count)
                     }
                     parent => parent.and_then(|parent| parent.step),
                 };
@@ -234,39 +223,24 @@ fn found_grids(text: &str, limits: &Limits) -> Result<Vec<FoundGrid>> {
                     is_uniform: !["collection", "tree", "subset"].contains(&&*kind),
                     step,
                     grids_before: found.len(),
-                    steps_before: step_count,
                     time: None,
-                    times: (Vec::new(), false),
                 });
             }
             XmlEvent::Start("Time", tag) => {
-                let time = value(tag, &["Value"], range.start)?;
-                let kind = value(tag, &["TimeType", "Type"], range.start)?.unwrap_or_default();
-                is_in_time = true;
-                if let Some(grid) = open.last_mut() {
-                    grid.time = time.and_then(|time| time.trim().parse().ok()).or(grid.time);
-                    grid.times.1 = kind.eq_ignore_ascii_case("hyperslab");
-                }
-            }
-            XmlEvent::End("Time") => is_in_time = false,
-            XmlEvent::Text(text) if is_in_time => {
-                if let Some(grid) = open.last_mut() {
-                    grid.times
-                        .0
-                        .extend(text.split_ascii_whitespace().filter_map(|word| word.parse::<f64>().ok()));
+                let time = value(tag, &["Value"], range.start)?.and_then(|time| time.trim().parse().ok());
+                if let (Some(grid), Some(_)) = (open.last_mut(), time) {
+                    grid.time = time.filter(|time: &f64| time.is_finite());
                 }
             }
             XmlEvent::End("Grid") => {
                 let grid = open.pop().ok_or_else(|| malformed(range.start, "expected no </Grid>"))?;
                 if grid.is_uniform {
                     limits.check_step(FORMAT, found.len())?;
-                    let [start, end] =
-                        [grid.start, range.end].map(|at| usize::try_from(at).unwrap_or(usize::MAX));
-                    found.push(FoundGrid { range: start..end, time: None, step: grid.step });
+                    let at = [grid.start, range.end].map(|at| usize::try_from(at).unwrap_or(usize::MAX));
+                    found.push(FoundGrid { range: at[0]..at[1], time: None, step: grid.step });
                 }
                 for inner in &mut found[grid.grids_before..] {
-                    let listed = || grid.listed_time(inner.step?.checked_sub(grid.steps_before)?);
-                    inner.time = inner.time.or(grid.time).or_else(listed).filter(|time| time.is_finite());
+                    inner.time = inner.time.or(grid.time);
                 }
             }
             XmlEvent::Start("include", _) => {
@@ -283,18 +257,6 @@ fn found_grids(text: &str, limits: &Limits) -> Result<Vec<FoundGrid>> {
 
 /// How deep grids may be nested: the time of a grid is passed to all grids in it.
 const DEPTH_MAX: usize = 16;
-
-impl OpenGrid {
-    /// The time of a child of a temporal collection, if the collection has a list of times.
-    fn listed_time(&self, child: usize) -> Option<f64> {
-        let (numbers, is_regular) = &self.times;
-        match numbers[..] {
-            _ if !self.is_temporal => None,
-            [start, stride, _] if *is_regular => Some(start + stride * child as f64),
-            _ => numbers.get(child).copied(),
-        }
-    }
-}
 
 // Reads the items of a grid.
 

@@ -248,6 +248,7 @@ impl<'a> HdfFile<'a> {
         notes: &mut Vec<String>,
     ) -> Result<Option<HdfTable>> {
         let reason = match group.dataset(name).map_err(error_of) {
+            Ok(data) if is_axis(&data) => "it is the axis of a grid".to_owned(),
             Ok(data) => match table_of(name, data) {
                 Ok((table, skipped)) => {
                     if !skipped.is_empty() {
@@ -420,6 +421,14 @@ fn numbers_of(datatype: &Datatype) -> Option<(NumberType, Endian, usize)> {
         }
         _ => None,
     }
+}
+
+/// Whether a data set has the coordinates of a dimension of others, as netCDF marks it.
+fn is_axis(data: &Dataset) -> bool {
+    let is_mark = |attribute: &Attribute| {
+        attribute.name == "CLASS" && attribute.read_string().is_ok_and(|class| class == "DIMENSION_SCALE")
+    };
+    data.attributes().iter().any(is_mark)
 }
 
 /// Whether 16-bit floats have the five bits of exponent of IEEE 754: others have eight.

@@ -123,4 +123,7 @@ with new("open.h5", "latest") as file:
 
 with new("none.h5") as file:
     file["density"] = np.zeros((4, 4, 4))
-    file.create_group("grid")["rho"] = np.zeros(8)
+    grid = file.create_group("grid")
+    for axis in "xyz":
+        grid[axis] = np.arange(4.0)
+        grid[axis].make_scale()
