@@ -421,9 +421,9 @@ const ROLES: &[(AttributeRole, &[&str])] = &[
             "widths",
         ],
     ),
-    (AttributeRole::Density, &["density", "rho", "rhop"]),
-    (AttributeRole::Mass, &["mass"]),
-    (AttributeRole::Id, &["id", "ids", "idp", "particle_id", "particleid", "index"]),
+    (AttributeRole::Density, &["density", "densities", "rho", "rhop"]),
+    (AttributeRole::Mass, &["mass", "masses"]),
+    (AttributeRole::Id, &["id", "ids", "idp", "particle_id", "particleid", "particleids", "index"]),
     (
         AttributeRole::Kind,
         &[

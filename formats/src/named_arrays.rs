@@ -55,6 +55,20 @@ pub(crate) fn frame_of(
     Some(ParticleFrame { positions, attributes, notes })
 }
 
+/// The number of particles of arrays that are not read yet, given as name, arity and number of rows: that of
+/// the position. `None` if there is no position among them.
+pub(crate) fn position_count(arrays: &[(&str, usize, usize)]) -> Option<usize> {
+    let vectors = arrays.iter().filter(|&&(_, arity, _)| arity == 3);
+    let ranked = vectors.filter_map(|&(name, _, count)| Some((position_rank(name)?, count)));
+    if let Some((_, count)) = ranked.min_by_key(|&(rank, _)| rank) {
+        return Some(count);
+    }
+    let singles: Vec<_> = arrays.iter().filter(|&&(_, arity, _)| arity == 1).collect();
+    let columns: Vec<_> = singles.iter().map(|&&(name, ..)| (name, ())).collect();
+    let [x, ..] = group_columns(&columns).position?;
+    singles.get(x).map(|&&(.., count)| count)
+}
+
 /// Removes arrays whose length does not match the number of particles, and returns a note for each.
 fn take_mismatched(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<String> {
     let fits = |array: &NamedArray| {

@@ -16,6 +16,7 @@ use crate::neighbor::Neighbor;
 use crate::table::Format;
 use crate::text::{Lines, parse_number};
 use crate::vtk;
+use crate::xdmf::looks_like_xdmf;
 use crate::xyz_ext::looks_like_atoms;
 
 /// What a file was recognised as.
@@ -151,6 +152,9 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
         && let Some(format) = vtk_kind(text, name)
     {
         return ProbedKind::Format(format);
+    }
+    if looks_like_xdmf(text) {
+        return ProbedKind::Format(Format::Xdmf);
     }
     if !is_text(head) {
         // A binary STL file has no signature: only its name, or this program's own header, identifies it.
@@ -368,7 +372,6 @@ fn looks_like_tecplot(text: &[u8]) -> bool {
 
 /// Signatures of formats that are recognised only for error messages.
 const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
-    (b"\x89HDF\r\n\x1a\n", "HDF5"),
     (b"CDF\x01", "netCDF"),
     (b"CDF\x02", "netCDF"),
     (b"NanoVDB", "NanoVDB"),
@@ -621,6 +624,8 @@ mod tests {
             ),
             (b"FoamFile\n{ class Cloud; }\n1\n(\n(1 2 3) 0\n)\n", "positions", ProbedKind::Foreign(OPENFOAM)),
             (b"FoamFile\n{ format binary; }\n1\n(\0\x01)", "positions", ProbedKind::Foreign(OPENFOAM)),
+            (b"<?xml version=\"1.0\" ?>\n<Xdmf Version=\"3.0\">", "a", ProbedKind::Format(Format::Xdmf)),
+            (b"\x89HDF\r\n\x1a\n\0", "a", ProbedKind::Format(Format::Hdf5)),
             (b"PK\x03\x04", "a.npz", ProbedKind::Format(Format::Npz)),
             (b"PK\x03\x04", "a.zip", ProbedKind::Foreign("ZIP archive")),
             (

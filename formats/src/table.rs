@@ -133,6 +133,10 @@ formats! {
         Prt => crate::prt::ROW,
         /// JSON: lists of positions or of other attributes.
         Json => crate::json::ROW,
+        /// HDF5, with one frame or several.
+        Hdf5 => crate::hdf5::ROW,
+        /// XDMF: an index of data sets in HDF5 files.
+        Xdmf => crate::xdmf::ROW,
     }
 }
 

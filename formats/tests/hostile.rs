@@ -15,8 +15,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use meniscus_formats::{
     AttributeRole, BandGrid, ContainerFile, FileAttribute, Format, LeafValues, LevelSetView, Limits,
-    MeshOptions, MeshView, OutputFormat, ParticleBatch, ParticleBatches, ProbedKind, ReadAt, Result, Values,
-    abc, bgeo, container, csv, lammps, ply, read_mesh, read_obstacle, read_particles, usdc, vdb,
+    MeshOptions, MeshView, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind, ReadAt,
+    Result, Sample, Values, abc, bgeo, container, csv, hdf5, lammps, ply, read_mesh, read_obstacle,
+    read_particles, usdc, vdb, xdmf,
 };
 use peak_alloc::PeakAlloc;
 
@@ -132,6 +133,37 @@ fn damaged_lists_of_files_do_not_panic() {
         sweep(name, bytes, |bytes| frames(bytes, file.as_bytes()));
     }
     sweep("a.vtp", file.as_bytes(), |bytes| frames(&lists[0].1, bytes));
+}
+
+/// The frames of a container of this size that is damaged: all of the first few are read.
+fn read_all(
+    bytes: &[u8],
+    samples: fn(&ContainerFile, &Limits) -> Result<Vec<Sample>>,
+    read: fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame>,
+) -> Result<()> {
+    let other = fixtures::hdf5_files().swap_remove(0).1; // for each name
+    let open = |_: &str| Ok(Box::new(Arc::<[u8]>::from(&other[..])) as Box<dyn ReadAt>);
+    let container = ContainerFile { file: &bytes, name: "a", open: &open };
+    let count = samples(&container, &Limits::default())?.len();
+    (0..count.clamp(1, 3)).try_for_each(|index| read(&container, index, &Limits::default()).map(drop))
+}
+
+#[test]
+fn damaged_hdf5_files_do_not_panic() {
+    let _alone = alone();
+    for (name, bytes) in fixtures::hdf5_files() {
+        sweep(&name, &bytes, |bytes| read_all(bytes, hdf5::samples, hdf5::read));
+    }
+}
+
+#[test]
+fn damaged_xdmf_files_do_not_panic() {
+    let _alone = alone();
+    for turn in 0..10 {
+        sweep(&format!("{turn}.xmf"), fixtures::XDMF.as_bytes(), |bytes| {
+            read_all(bytes, xdmf::samples, xdmf::read)
+        });
+    }
 }
 
 /// Files of some megabytes in which a few bytes cause the largest possible use of memory or time:

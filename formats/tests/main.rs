@@ -9,6 +9,7 @@ mod bgeo; // classic BGEO
 mod corpus; // files of other programs, and invalid files
 mod delimited; // text tables
 mod fixtures; // small valid files, built byte by byte
+mod hdf5; // HDF5 files
 mod houdini; // Houdini geometry
 mod json; // JSON
 mod lammps; // LAMMPS dumps
@@ -30,6 +31,7 @@ mod vdb_write; // level sets written as .vdb
 mod vertex_attributes; // vertex attributes
 mod vtk; // VTK files
 mod vtk_index; // files that list VTK files
+mod xdmf; // XDMF, an index of HDF5 files
 mod xyz_ext; // extended XYZ
 
 /// If a file is missing in this list of modules, it is not compiled, and its tests do not run.

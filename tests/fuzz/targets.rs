@@ -20,10 +20,10 @@ use meniscus::pipeline::{FrameRecords, STATE_FOLDER};
 use meniscus::watch::status_store::StatusStore;
 use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
-    Format, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind, Result, Values,
-    abc, bgeo, completeness, compression, csv, gltf, houdini, is_complete, json, lammps,
-    looks_like_particles, npy, obj, ply, png, probe, prt, read_obstacle, read_particles, read_provenance,
-    stl, usda, usdc, vdb, vtk, xyz, xyz_ext,
+    ContainerFile, Format, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind,
+    ReadAt, Result, Sample, Values, abc, bgeo, completeness, compression, csv, gltf, hdf5, houdini,
+    is_complete, json, lammps, looks_like_particles, npy, obj, ply, png, probe, prt, read_obstacle,
+    read_particles, read_provenance, stl, usda, usdc, vdb, vtk, xdmf, xyz, xyz_ext,
 };
 use twox_hash::XxHash3_64;
 
@@ -64,6 +64,8 @@ pub(crate) const TARGETS: &[Target] = &[
     compressed("npz", |bytes| checked(npy::read_archive(bytes, &limits()))),
     compressed("prt", |bytes| checked(prt::read(bytes, &limits()))),
     plain("json", |bytes| checked(json::read(bytes, &limits()))),
+    compressed("hdf5", |bytes| container(bytes, hdf5::samples, hdf5::read)),
+    compressed("xdmf", |bytes| container(bytes, xdmf::samples, xdmf::read)),
     plain("lammps", |bytes| steps(ProbedKind::Format(Format::LammpsDump), bytes, lammps::read)),
     plain("atoms", |bytes| steps(ProbedKind::Format(Format::XyzAtoms), bytes, xyz_ext::read)),
     plain("vtk_legacy", |bytes| checked(vtk::read_legacy(bytes, &limits()))),
@@ -180,6 +182,20 @@ fn steps(kind: ProbedKind, bytes: &[u8], read: fn(&[u8], &Limits) -> Result<Part
         let range =
             [step.range.start, step.range.end].map(|at| usize::try_from(at).expect("within the bytes"));
         checked(read(&bytes[range[0]..range[1]], &limits()));
+    }
+}
+
+/// Reads the first frames of a container. Each file that it names has the same bytes.
+fn container(
+    bytes: &[u8],
+    samples: fn(&ContainerFile, &Limits) -> Result<Vec<Sample>>,
+    read: fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame>,
+) {
+    let open = |_: &str| Ok(Box::new(Arc::<[u8]>::from(bytes)) as Box<dyn ReadAt>);
+    let file = ContainerFile { file: &bytes, name: "f", open: &open };
+    let count = samples(&file, &limits()).map_or(1, |samples| samples.len());
+    for index in 0..count.min(3) {
+        checked(read(&file, index, &limits()));
     }
 }
 

@@ -22,12 +22,12 @@ use std::io::Read;
 use std::sync::Arc;
 
 use crate::bytes::{Cursor, Endian};
-use crate::columns::{group_columns, position_rank};
+use crate::columns::position_rank;
 use crate::data::{ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::first_column::{self, FirstColumn};
 use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, frame_of, widened};
+use crate::named_arrays::{NamedArray, frame_of, position_count, widened};
 use crate::number::{self, NumberType, components, interleaved};
 use crate::row::{Completeness, FormatRow, HeadCheck, ParticleReader};
 use crate::steps::{FoundStep, StepSource};
@@ -311,9 +311,9 @@ fn first_numbers(values: &Values, arity: usize) -> Vec<[f64; 4]> {
 
 /// The frame of an archive. Skips arrays that do not have a value for each particle, with a note.
 fn frame_of_archive(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result<ParticleFrame> {
-    let is_vector = |array: &&NamedArray| array.arity == 3 && position_rank(&array.name).is_some();
-    let named = arrays.iter().filter(is_vector).min_by_key(|array| position_rank(&array.name));
-    let count = match named.map(NamedArray::particle_count).or_else(|| columns_count(&arrays)) {
+    let described: Vec<_> =
+        arrays.iter().map(|array| (&*array.name, array.arity, array.particle_count())).collect();
+    let count = match position_count(&described) {
         Some(count) => count,
         None => return frame_of_only(arrays, notes),
     };
@@ -343,14 +343,6 @@ fn frame_of_only(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result
     };
     notes.push(format!("`{}` is the only array: it is used as the position", excerpt(&array.name)));
     unnamed_frame(array)
-}
-
-/// The number of rows of the position if it consists of scalar arrays.
-fn columns_count(arrays: &[NamedArray]) -> Option<usize> {
-    let singles = arrays.iter().filter(|array| array.arity == 1);
-    let columns: Vec<_> = singles.clone().map(|array| (&*array.name, ())).collect();
-    let [x, ..] = group_columns(&columns).position?;
-    singles.clone().nth(x).map(NamedArray::particle_count)
 }
 
 fn no_position(header: &ArrayHeader) -> Error {

@@ -17,7 +17,7 @@ use quick_xml::events::Event;
 
 pub use legacy::{read as read_legacy, read_mesh as read_legacy_mesh};
 pub use write::{attribute_notes, particle_notes, write_mesh, write_particles};
-pub(crate) use xml::neighbor as xml_neighbor;
+pub(crate) use xml::{attribute, neighbor as xml_neighbor};
 pub use xml::{holds_polys, read as read_xml, read_mesh};
 
 use crate::batches::ReadAt;
@@ -98,9 +98,9 @@ pub const POLYGONS_NOTE: &str = "the file also has polygons, which are ignored: 
 
 /// The points of a piece, and the arrays that have a value for each.
 #[derive(Debug, Default)]
-struct VtkPiece {
-    positions: FilePositions,
-    arrays: Vec<NamedArray>,
+pub(crate) struct VtkPiece {
+    pub(crate) positions: FilePositions,
+    pub(crate) arrays: Vec<NamedArray>,
 }
 
 /// Converts the number of points to a length, within the limits.
@@ -118,7 +118,7 @@ fn positions_of(format: &'static str, values: Values) -> Result<FilePositions> {
 }
 
 /// Joins all points. Skips arrays that are missing in a piece or differ in type, with a note.
-fn joined(pieces: Vec<VtkPiece>, mut notes: Vec<String>) -> ParticleFrame {
+pub(crate) fn joined(pieces: Vec<VtkPiece>, mut notes: Vec<String>) -> ParticleFrame {
     let mut pieces = pieces.into_iter().filter(|piece| !piece.positions.is_empty());
     let mut all = pieces.next().unwrap_or_default();
     for piece in pieces {

@@ -424,7 +424,7 @@ fn number_of(kind: &str) -> Option<NumberType> {
 }
 
 /// The value of an attribute of a tag.
-pub(super) fn attribute(tag: &BytesStart, name: &str, at: u64) -> Result<Option<String>> {
+pub(crate) fn attribute(tag: &BytesStart, name: &str, at: u64) -> Result<Option<String>> {
     let wrong = |error: &dyn std::fmt::Display| malformed(at, format!("the attribute `{name}`: {error}"));
     let Some(found) = tag.try_get_attribute(name).map_err(|error| wrong(&error))? else { return Ok(None) };
     let value = quick_xml::escape::unescape(&found.value).map_err(|error| wrong(&error))?;

@@ -1,0 +1,482 @@
+//! Opens HDF5 files with the crate `hdf5-reader`, within the limits of this crate.
+//!
+//! The crate wants storage that it may keep and share, and a container only lends its file. So the crate runs
+//! in a thread of its own while this one has the file, and asks it for pieces:
+//!
+//! ```text
+//!   this thread                                      thread of the crate
+//!   reads the file   ←──── offset, length ─────      parses, decompresses
+//!                    ───── bytes ─────────────→      result, at the end
+//! ```
+//!
+//! The crate checks what it reads of the structure against the file. How much it may allocate for data is set
+//! here, before it does.
+
+use std::cell::Cell;
+use std::io;
+use std::sync::mpsc::{Sender, SyncSender, channel, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+
+use hdf5_reader::error::Error as CrateError;
+use hdf5_reader::group::Group;
+use hdf5_reader::{
+    Attribute, BlockCacheStorage, ByteOrder, Dataset, Datatype, ExternalLinkResolver, FilterRegistry,
+    Hdf5File, OpenOptions, Storage, StorageBuffer,
+};
+
+use super::FORMAT;
+use super::lzf;
+use crate::batches::ReadAt;
+use crate::bytes::Endian;
+use crate::error::{Error, Position, Result};
+use crate::limits::Limits;
+use crate::named_arrays::NamedArray;
+use crate::number::NumberType;
+use crate::text::{escaped, excerpt, excerpts};
+
+/// Runs `work` with an open file.
+///
+/// # Errors
+/// Those of `work` and of the file; [`Error::Truncated`] if the file is shorter than it states, or was not
+/// closed by the program that writes it.
+pub(super) fn with_file<T: Send>(
+    file: &dyn ReadAt,
+    limits: &Limits,
+    work: impl FnOnce(&HdfFile) -> Result<T> + Send,
+) -> Result<T> {
+    let byte_count = file.size_bytes()?;
+    let (requests, received) = channel();
+    thread::scope(|scope| {
+        let run = move || {
+            let _end = EndOfRequests(requests.clone());
+            work(&HdfFile::open(requests, byte_count, limits)?)
+        };
+        let worker = thread::Builder::new().name("hdf5".into()).spawn_scoped(scope, run)?;
+        while let Ok(Some(PieceRequest { offset, length, reply })) = received.recv() {
+            let mut bytes = vec![0; length];
+            let piece = file.read_exact_at(&mut bytes, offset).map(|()| bytes);
+            let _ = reply.send(piece); // without a receiver, nobody needs it
+        }
+        worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    })
+}
+
+/// A piece of the file to read; it is within the file.
+struct PieceRequest {
+    offset: u64,
+    length: usize,
+    reply: SyncSender<io::Result<Vec<u8>>>,
+}
+
+/// Ends the requests of a thread, however it ends.
+struct EndOfRequests(Sender<Option<PieceRequest>>);
+
+impl Drop for EndOfRequests {
+    fn drop(&mut self) {
+        let _ = self.0.send(None); // the receiver outlives this thread
+    }
+}
+
+/// The file of another thread.
+struct LentFile {
+    requests: Sender<Option<PieceRequest>>,
+    byte_count: u64,
+}
+
+impl Storage for LentFile {
+    fn len(&self) -> u64 {
+        self.byte_count
+    }
+
+    fn read_range(&self, offset: u64, length: usize) -> hdf5_reader::error::Result<StorageBuffer> {
+        if offset.checked_add(length as u64).is_none_or(|end| end > self.byte_count) {
+            let available = self.byte_count.saturating_sub(offset);
+            return Err(CrateError::UnexpectedEof { offset, needed: length as u64, available });
+        }
+        let (reply, answer) = sync_channel(1);
+        let is_gone = |_| io::Error::from(io::ErrorKind::BrokenPipe);
+        self.requests
+            .send(Some(PieceRequest { offset, length, reply }))
+            .map_err(|_| io::Error::from(io::ErrorKind::BrokenPipe))?;
+        Ok(StorageBuffer::from_vec(answer.recv().map_err(is_gone)??))
+    }
+}
+
+/// Keeps blocks of the file for the many short reads of its structure; long reads of data pass by.
+struct BufferedFile {
+    blocks: BlockCacheStorage,
+    file: Arc<LentFile>,
+}
+
+const BLOCK_BYTES: usize = 16 << 10;
+const BLOCK_COUNT: usize = 64;
+
+impl Storage for BufferedFile {
+    fn len(&self) -> u64 {
+        self.file.len()
+    }
+
+    fn read_range(&self, offset: u64, length: usize) -> hdf5_reader::error::Result<StorageBuffer> {
+        if length < BLOCK_BYTES {
+            self.blocks.read_range(offset, length)
+        } else {
+            self.file.read_range(offset, length)
+        }
+    }
+}
+
+/// Remembers the files that links lead to; they are not opened.
+#[derive(Default)]
+struct LinkedFiles(Mutex<Vec<String>>);
+
+impl ExternalLinkResolver for LinkedFiles {
+    fn resolve_external_link(&self, file: &str) -> hdf5_reader::error::Result<Option<Hdf5File>> {
+        let mut files = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if !files.iter().any(|known| known == file) && files.len() < 16 {
+            files.push(file.to_owned());
+        }
+        Ok(None)
+    }
+}
+
+/// An open file.
+pub(super) struct HdfFile<'a> {
+    file: Hdf5File,
+    linked: Arc<LinkedFiles>,
+    pub(super) limits: &'a Limits,
+    /// Bytes of data that may still be read.
+    budget_bytes: Cell<u64>,
+}
+
+/// Columns of numbers: a data set, a column for each field of its records; or values that are all the same.
+pub(super) struct HdfTable {
+    source: TableSource,
+    pub(super) fields: Vec<HdfField>,
+    /// The number of rows.
+    pub(super) row_count: u64,
+    /// Bytes of a row.
+    stride: usize,
+}
+
+enum TableSource {
+    Stored(Box<Dataset>),
+    Constant(f64),
+}
+
+/// One or more numbers in each row of a table.
+pub(super) struct HdfField {
+    pub(super) name: String,
+    pub(super) arity: usize,
+    offset: usize,
+    number: NumberType,
+    endian: Endian,
+}
+
+impl<'a> HdfFile<'a> {
+    fn open(
+        requests: Sender<Option<PieceRequest>>,
+        byte_count: u64,
+        limits: &'a Limits,
+    ) -> Result<HdfFile<'a>> {
+        let budget = limits.decompressed_bytes_of(byte_count);
+        let bytes = |count: u64| usize::try_from(count).unwrap_or(usize::MAX);
+        let chunk_bytes = bytes(budget / 4);
+        let mut filters = FilterRegistry::new();
+        filters.register(
+            lzf::FILTER,
+            Box::new(move |filter, packed, _| {
+                lzf::unpacked(packed, filter.client_data.get(2).copied(), chunk_bytes)
+            }),
+        );
+        let linked = Arc::new(LinkedFiles::default());
+        let options = OpenOptions {
+            chunk_cache_bytes: 0,
+            filter_registry: Some(filters),
+            external_link_resolver: Some(linked.clone()),
+            max_chunk_bytes: chunk_bytes,
+            max_read_bytes: bytes(budget),
+            max_object_header_bytes: bytes(limits.header_bytes),
+            ..OpenOptions::default()
+        };
+        let file = Arc::new(LentFile { requests, byte_count });
+        let blocks = BlockCacheStorage::new(file.clone(), BLOCK_BYTES, BLOCK_COUNT);
+        let storage = Arc::new(BufferedFile { blocks, file });
+        let file = Hdf5File::from_storage_with_options(storage, options).map_err(|error| match error {
+            // The superblock is at the start of the file.
+            CrateError::UnexpectedEof { .. } => {
+                Error::truncated(FORMAT, Position::Offset(byte_count), "the file ends within its first block")
+            }
+            error => error_of(error),
+        })?;
+        check_complete(&file, byte_count)?;
+        Ok(HdfFile { file, linked, limits, budget_bytes: Cell::new(budget) })
+    }
+
+    /// The root group.
+    pub(super) fn root(&self) -> Result<Group> {
+        self.file.root_group().map_err(error_of)
+    }
+
+    /// A group of a group, given by its path.
+    pub(super) fn group(&self, group: &Group, path: &str) -> Result<Group> {
+        let mut names = path.split('/').filter(|name| !name.is_empty());
+        names.try_fold(group.clone(), |group, name| group.group(name).map_err(error_of))
+    }
+
+    /// The names of the groups and of the data sets in a group, sorted: some files have them in any order.
+    pub(super) fn members(&self, group: &Group) -> Result<(Vec<String>, Vec<String>)> {
+        let (mut groups, mut data_sets) = group.member_names().map_err(error_of)?;
+        groups.sort_unstable();
+        data_sets.sort_unstable();
+        self.limits.check_attributes(FORMAT, data_sets.len(), "data sets in a group")?;
+        Ok((groups, data_sets))
+    }
+
+    /// A note on each file that links lead to.
+    pub(super) fn notes(&self) -> Vec<String> {
+        let files = self.linked.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let note = |file: &String| format!("links to the file `{}` were not followed", excerpt(file));
+        files.iter().map(note).collect()
+    }
+
+    /// A data set of numbers, described by its header. Of any other data set, only a note.
+    pub(super) fn table(
+        &self,
+        group: &Group,
+        name: &str,
+        notes: &mut Vec<String>,
+    ) -> Result<Option<HdfTable>> {
+        let reason = match group.dataset(name).map_err(error_of) {
+            Ok(data) if is_axis(&data) => "it is the axis of a grid".to_owned(),
+            Ok(data) => match table_of(name, data) {
+                Ok((table, skipped)) => {
+                    if !skipped.is_empty() {
+                        notes.push(format!(
+                            "skipped fields of `{}` that are not numeric: {}",
+                            excerpt(name),
+                            excerpts(skipped)
+                        ));
+                    }
+                    return Ok(Some(table));
+                }
+                Err(reason) => reason,
+            },
+            Err(Error::Unsupported { what, .. }) => what,
+            Err(error) => return Err(error),
+        };
+        notes.push(format!("skipped `{}`: {reason}", excerpt(name)));
+        Ok(None)
+    }
+
+    /// Reads some fields of a table, which must be in it.
+    pub(super) fn read(&self, table: HdfTable) -> Result<Vec<NamedArray>> {
+        let HdfTable { source, fields, row_count, stride } = table;
+        self.limits.check_particles(FORMAT, row_count)?;
+        // Values may become 64-bit floats later.
+        let widths = fields.iter().map(|field| 8 * field.arity as u64);
+        let row_bytes = widths.fold(stride as u64, u64::saturating_add);
+        self.spend(row_count.saturating_mul(row_bytes))?;
+        let bytes = match source {
+            TableSource::Stored(data) => data.read_raw_bytes().map_err(error_of)?,
+            TableSource::Constant(value) => {
+                value.to_le_bytes().repeat(usize::try_from(row_count).unwrap_or_default())
+            }
+        };
+        let array = |HdfField { name, arity, offset, number, endian }| {
+            let values = number.decode_strided(&bytes, endian, stride, offset, arity);
+            NamedArray { name, arity, values }
+        };
+        Ok(fields.into_iter().map(array).collect())
+    }
+
+    fn spend(&self, bytes: u64) -> Result<()> {
+        let left = self.budget_bytes.get().checked_sub(bytes).ok_or_else(|| {
+            let what =
+                "the data sets of the frame expand to more bytes than the limit for a file of this size";
+            Error::too_large(FORMAT, what)
+        })?;
+        self.budget_bytes.set(left);
+        Ok(())
+    }
+}
+
+/// A file ends where its first block states, unless it is still being written.
+fn check_complete(file: &Hdf5File, byte_count: u64) -> Result<()> {
+    let superblock = file.superblock();
+    let what = if superblock.eof_address > byte_count {
+        format!("expected {} bytes, found {byte_count}", superblock.eof_address)
+    } else if superblock.version >= 3 && superblock.consistency_flags & 1 != 0 {
+        "the program that writes the file has not closed it".to_owned()
+    } else {
+        return Ok(());
+    };
+    Err(Error::truncated(FORMAT, Position::Offset(byte_count), what))
+}
+
+impl HdfTable {
+    /// A column in which all numbers are the same.
+    pub(super) fn constant(name: String, value: f64, row_count: u64) -> HdfTable {
+        let field = HdfField { name, arity: 1, offset: 0, number: NumberType::F64, endian: Endian::Little };
+        HdfTable { source: TableSource::Constant(value), fields: vec![field], row_count, stride: 8 }
+    }
+
+    /// The attributes of a data set.
+    pub(super) fn attributes(&self) -> Vec<Attribute> {
+        match &self.source {
+            TableSource::Stored(data) => data.attributes(),
+            TableSource::Constant(_) => Vec::new(),
+        }
+    }
+}
+
+/// The layout of a data set, and the names of fields that are not numeric; or why it cannot be a table.
+fn table_of(name: &str, data: Dataset) -> std::result::Result<(HdfTable, Vec<String>), String> {
+    let shape = data.shape().to_vec();
+    let mut skipped = Vec::new();
+    let (fields, stride, row_count) = match (data.dtype(), &shape[..]) {
+        (Datatype::Compound { size, fields }, &[row_count]) => {
+            let stride = usize::try_from(*size).unwrap_or_default();
+            let mut columns = Vec::new();
+            for field in fields {
+                match numbers_of(&field.datatype) {
+                    // The layout of 16-bit floats in a record is not known.
+                    Some((number, endian, arity)) if number != NumberType::F16 => columns.push(HdfField {
+                        name: field.name.clone(),
+                        arity,
+                        offset: usize::try_from(field.byte_offset).unwrap_or(usize::MAX),
+                        number,
+                        endian,
+                    }),
+                    _ => skipped.push(field.name.clone()),
+                }
+            }
+            (columns, stride, row_count)
+        }
+        (datatype, shape) => {
+            let (number, endian, inner) = numbers_of(datatype).ok_or("it is not numeric")?;
+            if number == NumberType::F16 && !is_half(&data) {
+                return Err("its 16-bit floats are not those of IEEE 754".into());
+            }
+            let (row_count, columns) = match *shape {
+                [row_count] => (row_count, 1),
+                [row_count, columns] => (row_count, columns),
+                [] => return Err("it is a single value".into()),
+                _ => return Err(format!("it has the shape {shape:?}")),
+            };
+            let arity = usize::try_from(columns).ok().and_then(|columns| columns.checked_mul(inner));
+            let stride = arity.and_then(|arity| arity.checked_mul(number.size()));
+            let (Some(arity), Some(stride)) = (arity, stride) else {
+                return Err("its rows are too long".into());
+            };
+            (vec![HdfField { name: name.to_owned(), arity, offset: 0, number, endian }], stride, row_count)
+        }
+    };
+    let end = |field: &HdfField| field.arity.checked_mul(field.number.size())?.checked_add(field.offset);
+    if stride == 0 || fields.iter().any(|field| end(field).is_none_or(|end| end > stride)) {
+        return Err("it has no values, or fields beyond its rows".into());
+    }
+    Ok((HdfTable { source: TableSource::Stored(Box::new(data)), fields, row_count, stride }, skipped))
+}
+
+/// The type, byte order and count of the numbers of an element; `None` for other elements.
+fn numbers_of(datatype: &Datatype) -> Option<(NumberType, Endian, usize)> {
+    let endian = |order: &ByteOrder| match order {
+        ByteOrder::LittleEndian => Endian::Little,
+        ByteOrder::BigEndian => Endian::Big,
+    };
+    match datatype {
+        Datatype::FixedPoint { size, signed, byte_order } => {
+            let number = match (size, signed) {
+                (1, true) => NumberType::I8,
+                (1, false) => NumberType::U8,
+                (2, true) => NumberType::I16,
+                (2, false) => NumberType::U16,
+                (4, true) => NumberType::I32,
+                (4, false) => NumberType::U32,
+                (8, true) => NumberType::I64,
+                (8, false) => NumberType::U64,
+                _ => return None,
+            };
+            Some((number, endian(byte_order), 1))
+        }
+        Datatype::FloatingPoint { size, byte_order } => {
+            let number = match size {
+                2 => NumberType::F16,
+                4 => NumberType::F32,
+                8 => NumberType::F64,
+                _ => return None,
+            };
+            Some((number, endian(byte_order), 1))
+        }
+        // Truth values are an enumeration.
+        Datatype::Enum { base, .. } => match numbers_of(base)? {
+            (NumberType::I8, endian, 1) => Some((NumberType::U8, endian, 1)),
+            other => Some(other),
+        },
+        Datatype::Array { base, dims } if !matches!(**base, Datatype::Array { .. }) => {
+            let (number, endian, _) = numbers_of(base)?;
+            let count = dims.iter().try_fold(1u64, |count, &length| count.checked_mul(length))?;
+            Some((number, endian, usize::try_from(count).ok()?))
+        }
+        _ => None,
+    }
+}
+
+/// Whether a data set has the coordinates of a dimension of others, as netCDF marks it.
+fn is_axis(data: &Dataset) -> bool {
+    let is_mark = |attribute: &Attribute| {
+        attribute.name == "CLASS" && attribute.read_string().is_ok_and(|class| class == "DIMENSION_SCALE")
+    };
+    data.attributes().iter().any(is_mark)
+}
+
+/// Whether 16-bit floats have the five bits of exponent of IEEE 754: others have eight.
+fn is_half(data: &Dataset) -> bool {
+    const EXPONENT_BITS: usize = 13; // its place in the description of the type
+    data.raw_datatype().is_ok_and(|bytes| bytes.get(EXPONENT_BITS) == Some(&5))
+}
+
+/// The first of these attributes that is a number.
+pub(super) fn number_in(attributes: &[Attribute], names: &[&str]) -> Option<f64> {
+    let named = |name: &&str| attributes.iter().find(|attribute| attribute.name == *name);
+    let numbers = names.iter().filter_map(named).filter_map(|attribute| attribute.read_as_f64().ok());
+    numbers.into_iter().find(|number| number.is_finite())
+}
+
+/// The attributes of a group; none if one of them is in an encoding that is not supported.
+pub(super) fn attributes_of(group: &Group) -> Result<Vec<Attribute>> {
+    match group.attributes().map_err(error_of) {
+        Err(Error::Unsupported { .. }) => Ok(Vec::new()),
+        attributes => attributes,
+    }
+}
+
+/// An error of the crate in the words of this one.
+fn error_of(error: CrateError) -> Error {
+    let text = escaped(error.to_string()).to_string();
+    let mut inner = error;
+    while let CrateError::Context { source, .. } = inner {
+        inner = *source;
+    }
+    match inner {
+        CrateError::Io(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
+            Error::truncated(FORMAT, Position::File, "the file has become shorter")
+        }
+        CrateError::Io(error) => error.into(),
+        CrateError::ResourceLimit(_) => Error::too_large(FORMAT, text),
+        CrateError::UnsupportedLayoutClass(3) => {
+            let what = "it is a virtual data set, whose values are in other files: give those files";
+            Error::unsupported(FORMAT, what)
+        }
+        CrateError::UnsupportedFilter(_) => {
+            let what = format!("{text}: compress the file with gzip, as `h5repack -f GZIP=4 IN OUT` does");
+            Error::unsupported(FORMAT, what)
+        }
+        CrateError::GroupNotFound(_) | CrateError::DatasetNotFound(_) | CrateError::AttributeNotFound(_) => {
+            Error::invalid(FORMAT, Position::File, text)
+        }
+        _ if text.contains("unsupported") => Error::unsupported(FORMAT, text),
+        _ => Error::invalid(FORMAT, Position::File, text),
+    }
+}

@@ -1,0 +1,374 @@
+//! Particles in HDF5 files: a hierarchy of groups with data sets and attributes, whose names each program
+//! chooses.
+//!
+//! ```text
+//!   /PartType0/Coordinates (N, 3), Velocities, ParticleIDs ..           GADGET, SWIFT: PartType0 is gas
+//!   /particles/fluid/arrays/x (N), y, z, u, v, w, rho ..                PySPH
+//!   /Step#0/x (N), y, z ..   /Step#1/ ..                                H5Part: a frame for each step
+//!   /data/100/particles/water/position/x (N) ..                         openPMD: a frame for each iteration
+//!   /VTKHDF/Points (N, 3), PointData/v                                  VTK
+//!   /any/group/pos (N, 3), vel   or   x (N), y, z   or records          any other program
+//! ```
+//!
+//! A group has particles if its data sets have names by which [`crate::named_arrays`] finds a position. The
+//! groups nearest to the root are used. If they are several, one of them is the fluid, and a note names the
+//! others.
+//!
+//! Specifications: HDF5 File Format Specification 3.0, openPMD 1.1, H5Part, the manuals of GADGET-2 and SWIFT.
+
+mod file;
+mod lzf;
+
+use std::collections::HashSet;
+
+use hdf5_reader::group::Group;
+
+use crate::batches::ReadAt;
+use crate::columns::position_rank;
+use crate::container::{ContainerFile, ContainerReader, Sample};
+use crate::data::{ParticleFrame, Values};
+use crate::error::{Error, Position, Result};
+use crate::limits::Limits;
+use crate::named_arrays::{NamedArray, frame_of, position_count, widened};
+use crate::row::{FormatRow, ParticleReader};
+use crate::text::{excerpt, excerpts};
+use file::{HdfFile, HdfTable, attributes_of, number_in, with_file};
+
+/// The format's name in errors.
+const FORMAT: &str = "HDF5";
+
+/// The row in the table of formats.
+pub(crate) static ROW: FormatRow = FormatRow {
+    signatures: &[b"\x89HDF\r\n\x1a\n"],
+    beginnings: &[b"\x89HDF\r\n\x1a\n"],
+    particles: Some(ParticleReader::container(ContainerReader::new(samples, read))),
+    ..FormatRow::new(FORMAT, &["h5", "hdf5", "hdf", "h5part"])
+};
+
+/// The frames of a file, in the order of their numbers; none if it has no particles.
+///
+/// # Errors
+/// [`Error::Truncated`] if the file is not complete, [`Error::Invalid`] if it is damaged,
+/// [`Error::Unsupported`] for what `hdf5-reader` cannot read, [`Error::TooLarge`] beyond `limits`.
+pub fn samples(container: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>> {
+    with_file(container.file, limits, |file| {
+        let steps = steps(file)?;
+        let sample = |step: &HdfStep| {
+            let group = file.group(&file.root()?, &step.path)?;
+            Ok(Sample { number: step.number, time: time_of(file, &group)? })
+        };
+        // Without steps, the file as a whole is a frame, if it has particles.
+        if let [only] = &steps[..]
+            && only.path.is_empty()
+            && find_particles(file, &file.root()?, &mut Vec::new())?.is_none()
+        {
+            return Ok(Vec::new());
+        }
+        steps.iter().map(sample).collect()
+    })
+}
+
+/// Reads a frame by its index in [`samples`].
+///
+/// # Errors
+/// Those of [`samples`], and [`Error::Invalid`] if there are no particles.
+pub fn read(container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
+    with_file(container.file, limits, |file| {
+        let steps = steps(file)?;
+        let step = steps.get(index).ok_or_else(|| {
+            Error::invalid(FORMAT, Position::File, format!("there is no frame {index} of {}", steps.len()))
+        })?;
+        let group = file.group(&file.root()?, &step.path)?;
+        let mut notes = Vec::new();
+        match find_particles(file, &group, &mut notes)? {
+            Some(found) => frame(file, found, notes),
+            None => Err(no_particles(file, notes)),
+        }
+    })
+}
+
+/// The numbers of a data set, given by its path; it must have this many.
+///
+/// # Errors
+/// Those of [`read`], and [`Error::Invalid`] if the data set is missing, not numeric or of another length.
+pub(crate) fn read_values(file: &dyn ReadAt, path: &str, count: u64, limits: &Limits) -> Result<Values> {
+    with_file(file, limits, |file| {
+        let (group, name) = path.rsplit_once('/').unwrap_or(("", path));
+        let mut notes = Vec::new();
+        let table = file.table(&file.group(&file.root()?, group)?, name, &mut notes)?;
+        let invalid = |what: &str| Error::invalid(FORMAT, Position::File, what);
+        let table = table.ok_or_else(|| invalid(notes.first().map_or("", |note| note)))?;
+        let [field] = &table.fields[..] else { return Err(invalid("expected numbers, found records")) };
+        let found = table.row_count.saturating_mul(field.arity as u64);
+        if found != count {
+            let what = format!("`{}` has {found} numbers, and {count} were expected", excerpt(path));
+            return Err(invalid(&what));
+        }
+        let array = file.read(table)?.pop().ok_or_else(|| invalid("expected numbers"))?;
+        Ok(array.values)
+    })
+}
+
+/// The group of a frame.
+struct HdfStep {
+    number: i64,
+    /// From the root; empty for the root itself.
+    path: String,
+}
+
+/// The steps of the file; a file without steps is itself the only one.
+fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
+    let root = file.root()?;
+    let (groups, _) = file.members(&root)?;
+    let step = |prefix: &str, name: &str, after: &str| {
+        let number = name.strip_prefix(after)?.parse().ok()?;
+        Some(HdfStep { number, path: format!("{prefix}{name}") })
+    };
+    let mut steps: Vec<HdfStep> = groups.iter().filter_map(|name| step("", name, "Step#")).collect();
+    if steps.is_empty() && groups.iter().any(|name| name == "data") {
+        let (iterations, _) = file.members(&file.group(&root, "data")?)?;
+        steps = iterations.iter().filter_map(|name| step("data/", name, "")).collect();
+        // Iterations can have fields only.
+        if let Some(first) = steps.first()
+            && !file.members(&file.group(&root, &first.path)?)?.0.iter().any(|name| name == "particles")
+        {
+            steps.clear();
+        }
+    }
+    if let Some(last) = steps.len().checked_sub(1) {
+        file.limits.check_step(FORMAT, last)?;
+    } else {
+        steps.push(HdfStep { number: 0, path: String::new() });
+    }
+    steps.sort_by_key(|step| step.number);
+    Ok(steps)
+}
+
+/// The time that a step states, or that a header or the solver's data beside the particles state.
+fn time_of(file: &HdfFile, group: &Group) -> Result<Option<f64>> {
+    let (groups, _) = file.members(group)?;
+    let beside = groups.iter().filter(|name| ["Header", "solver_data"].contains(&&***name));
+    let mut all = vec![attributes_of(group)?];
+    for name in beside {
+        all.push(attributes_of(&file.group(group, name)?)?);
+    }
+    let time = |attributes: &Vec<_>| {
+        let time = number_in(attributes, &["TimeValue", "Time", "time", "t"])?;
+        Some(time * number_in(attributes, &["timeUnitSI"]).unwrap_or(1.0))
+    };
+    Ok(all.iter().find_map(time))
+}
+
+/// A group with particles.
+struct ParticleGroup {
+    path: String,
+    tables: Vec<HdfTable>,
+    particle_count: usize,
+    /// Notes on its data sets.
+    notes: Vec<String>,
+}
+
+/// How far below a step particles are searched.
+const DEPTH_MAX: usize = 4;
+
+/// Names of the fluid among several kinds of particles.
+const FLUIDS: &[&str] = &["fluid", "water", "liquid"];
+
+/// Finds the particles of a step. The notes are on the choice or, if there are no particles, on data sets.
+fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Result<Option<ParticleGroup>> {
+    let mut level = vec![(String::new(), step.clone())];
+    let mut visited = HashSet::from([step.address()]);
+    for _ in 0..=DEPTH_MAX {
+        let (mut found, mut below) = (Vec::new(), Vec::new());
+        for (path, group) in level {
+            let (groups, data_sets) = file.members(&group)?;
+            let mut own_notes = Vec::new();
+            let tables = tables_of(file, &group, &path, (&groups, &data_sets), &mut own_notes)?;
+            if let Some(particle_count) = count_of(&tables) {
+                found.push(ParticleGroup { path, tables, particle_count, notes: own_notes });
+                continue;
+            }
+            notes.extend(own_notes);
+            for name in sorted(groups) {
+                let group = file.group(&group, &name)?;
+                if visited.insert(group.address()) {
+                    below.push((format!("{path}/{name}"), group));
+                }
+            }
+            file.limits.check_attributes(FORMAT, visited.len(), "groups")?;
+        }
+        if !found.is_empty() {
+            *notes = Vec::new();
+            return Ok(Some(chosen(found, notes)));
+        }
+        level = below;
+    }
+    Ok(None)
+}
+
+/// The names of groups, with those of GADGET first: SWIFT has further names for the same groups.
+fn sorted(mut groups: Vec<String>) -> Vec<String> {
+    groups.sort_by_key(|name| !name.starts_with("PartType"));
+    groups
+}
+
+/// The fluid among the groups, or the first one.
+fn chosen(mut found: Vec<ParticleGroup>, notes: &mut Vec<String>) -> ParticleGroup {
+    let is_fluid = |group: &ParticleGroup| {
+        let path = group.path.to_ascii_lowercase();
+        FLUIDS.iter().any(|name| path.contains(name))
+    };
+    let chosen = found.remove(found.iter().position(is_fluid).unwrap_or(0));
+    if !found.is_empty() {
+        notes.push(format!(
+            "only the particles of `{}` were read, not those of {}",
+            shown_path(&chosen.path),
+            excerpts(found.iter().map(|group| group.path.trim_start_matches('/')))
+        ));
+    }
+    chosen
+}
+
+fn shown_path(path: &str) -> String {
+    if path.is_empty() { "/".to_owned() } else { excerpt(path.trim_start_matches('/')) }
+}
+
+/// The tables of a group, which may have particles, with the names of its attributes.
+fn tables_of(
+    file: &HdfFile,
+    group: &Group,
+    path: &str,
+    (groups, data_sets): (&[String], &[String]),
+    notes: &mut Vec<String>,
+) -> Result<Vec<HdfTable>> {
+    let mut tables = Vec::new();
+    for name in data_sets {
+        tables.extend(file.table(group, name, notes)?);
+    }
+    if path.ends_with("/VTKHDF") {
+        if groups.iter().any(|name| name == "Steps") {
+            let what = "VTKHDF files with steps are not supported: save each step as a file, .vtp or .vtkhdf";
+            return Err(Error::unsupported(FORMAT, what));
+        }
+        if groups.iter().any(|name| name == "PointData") {
+            let data = file.group(group, "PointData")?;
+            for name in &file.members(&data)?.1 {
+                tables.extend(file.table(&data, name, notes)?);
+            }
+        }
+    }
+    if groups.iter().any(|name| position_rank(name).is_some()) {
+        for name in groups {
+            tables.extend(record(file, &file.group(group, name)?, name, notes)?);
+        }
+    }
+    if path.ends_with("/arrays") {
+        name_velocity(&mut tables);
+    }
+    Ok(tables)
+}
+
+/// A record of openPMD: a group with a data set, or a constant, for each component; or itself a constant.
+fn record(file: &HdfFile, group: &Group, name: &str, notes: &mut Vec<String>) -> Result<Vec<HdfTable>> {
+    let (groups, data_sets) = file.members(group)?;
+    let constant = |group: &Group, name: String| {
+        let attributes = attributes_of(group)?;
+        let (value, shape) = (number_in(&attributes, &["value"]), number_in(&attributes, &["shape"]));
+        let count = shape.filter(|count| (0.0..9e15).contains(count));
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "in range")]
+        Ok::<_, Error>(value.zip(count).map(|(value, count)| HdfTable::constant(name, value, count as u64)))
+    };
+    let mut tables: Vec<HdfTable> = constant(group, name.to_owned())?.into_iter().collect();
+    for component in &groups {
+        tables.extend(constant(&file.group(group, component)?, format!("{name}_{component}"))?);
+    }
+    for component in &data_sets {
+        if let Some(mut table) = file.table(group, component, notes)? {
+            let unit = number_in(&table.attributes(), &["unitSI"]);
+            if position_rank(name).is_some()
+                && component == "x"
+                && let Some(unit) = unit.filter(|&unit| unit != 1.0)
+            {
+                notes.push(format!("positions are in units of {unit} m"));
+            }
+            table.fields.iter_mut().for_each(|field| field.name = format!("{name}_{component}"));
+            tables.push(table);
+        }
+    }
+    Ok(tables)
+}
+
+/// Gives the velocity of PySPH, u v w, a name that is recognised. Elsewhere, these can be displacements.
+fn name_velocity(tables: &mut [HdfTable]) {
+    const NAMES: [(&str, &str); 3] = [("u", "velocity_x"), ("v", "velocity_y"), ("w", "velocity_z")];
+    let fields = || tables.iter().flat_map(|table| &table.fields);
+    if NAMES.iter().all(|(name, _)| fields().any(|field| field.name == *name)) {
+        for field in tables.iter_mut().flat_map(|table| &mut table.fields) {
+            if let Some((_, name)) = NAMES.iter().find(|(name, _)| field.name == *name) {
+                field.name = (*name).to_owned();
+            }
+        }
+    }
+}
+
+/// The number of particles, if the tables have a position.
+fn count_of(tables: &[HdfTable]) -> Option<usize> {
+    let described = |table: &HdfTable| {
+        let count = usize::try_from(table.row_count).unwrap_or(usize::MAX);
+        let fields: Vec<_> =
+            table.fields.iter().map(|field| (field.name.clone(), field.arity, count)).collect();
+        fields
+    };
+    let fields: Vec<_> = tables.iter().flat_map(described).collect();
+    position_count(&fields.iter().map(|(name, arity, count)| (&**name, *arity, *count)).collect::<Vec<_>>())
+}
+
+/// Reads the tables that have a row for each particle.
+fn frame(file: &HdfFile, group: ParticleGroup, mut notes: Vec<String>) -> Result<ParticleFrame> {
+    let mut arrays = Vec::new();
+    notes.extend(group.notes);
+    for table in group.tables {
+        if table.row_count == group.particle_count as u64 {
+            arrays.extend(file.read(table)?);
+        } else if table.row_count > 0 {
+            // PySPH has empty data sets for what it does not save.
+            notes.push(format!(
+                "skipped `{}`: it has {} rows for {} particles",
+                table.fields.first().map_or(String::new(), |field| excerpt(&field.name)),
+                table.row_count,
+                group.particle_count
+            ));
+        }
+    }
+    file.limits.check_attributes(FORMAT, arrays.len(), "attributes")?;
+    let offsets: Vec<NamedArray> =
+        arrays.extract_if(.., |array| array.name.starts_with("positionOffset_")).collect();
+    if offsets.iter().any(|offset| has_nonzero(&offset.values)) {
+        let what =
+            "the positions have offsets (positionOffset), which are not supported: add them to the positions";
+        return Err(Error::unsupported(FORMAT, what));
+    }
+    let mut frame = frame_of(None, arrays).ok_or_else(|| no_particles(file, Vec::new()))?;
+    frame.notes.append(&mut notes);
+    frame.notes.extend(file.notes());
+    Ok(frame)
+}
+
+fn has_nonzero(values: &Values) -> bool {
+    matches!(widened(values), Some(Values::F64(values)) if values.iter().any(|&value| value != 0.0))
+}
+
+fn no_particles(file: &HdfFile, notes: Vec<String>) -> Error {
+    let (groups, data_sets) = file.root().and_then(|root| file.members(&root)).unwrap_or_default();
+    let members: Vec<String> = groups.into_iter().map(|name| name + "/").chain(data_sets).collect();
+    let mut what = format!(
+        "expected a group with a data set `pos` of shape (N, 3), or x, y and z of shape (N), at most {DEPTH_MAX} groups \
+         deep; the file has {}",
+        if members.is_empty() { "no groups or data sets".to_owned() } else { excerpts(&members) }
+    );
+    for note in notes.into_iter().chain(file.notes()).take(4) {
+        what += "; ";
+        what += &note;
+    }
+    Error::invalid(FORMAT, Position::File, what)
+}

@@ -1,0 +1,566 @@
+//! XDMF (`.xmf`, `.xdmf`): an index in XML, which says which data sets of HDF5 files are the points of a time.
+//!
+//! ```text
+//!   <Xdmf><Domain>
+//!    <Grid GridType="Collection" CollectionType="Temporal">
+//!     <Grid>                                                     one for each time, or several within a Grid
+//!      <Time Value="0.5"/>                                       GridType="Collection" CollectionType="Spatial"
+//!      <Geometry GeometryType="XYZ">
+//!       <DataItem Dimensions="64 3" NumberType="Float" Precision="8" Format="HDF"> run.h5:/0/points </DataItem>
+//!      <Attribute Name="v" Center="Node"> <DataItem ..> </Attribute>
+//! ```
+//!
+//! Items in the XML itself and in binary files are read, too. Of the XML, the frames are found first; the
+//! items of a frame are parsed when it is read.
+//!
+//! Specification: the XDMF model and format, version 3.
+
+use std::borrow::Cow;
+use std::collections::HashSet;
+use std::ops::Range;
+
+use quick_xml::Reader;
+use quick_xml::events::{BytesStart, Event};
+
+use crate::batches;
+use crate::bytes::Endian;
+use crate::container::{ContainerFile, ContainerReader, Sample};
+use crate::data::{FilePositions, ParticleFrame, Values};
+use crate::error::{Error, Position, Result};
+use crate::hdf5;
+use crate::limits::Limits;
+use crate::named_arrays::NamedArray;
+use crate::number::{NumberType, interleaved, positions};
+use crate::row::{FormatRow, ParticleReader};
+use crate::text::{excerpt, parse_number};
+use crate::vtk::{VtkPiece, attribute, joined};
+
+/// The format's name in errors.
+const FORMAT: &str = "XDMF";
+
+/// The row in the table of formats. The first element identifies a file.
+pub(crate) static ROW: FormatRow = FormatRow {
+    particles: Some(ParticleReader::container(ContainerReader::new(samples, read))),
+    ..FormatRow::new(FORMAT, &["xmf", "xdmf"])
+};
+
+/// The frames, in the order of the file; none if the first grid does not consist of points.
+///
+/// # Errors
+/// [`Error::Truncated`] if the last tag is missing, [`Error::Invalid`] for malformed XML, [`Error::TooLarge`]
+/// for more frames than `limits` allows.
+pub fn samples(container: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>> {
+    let text = text_of(container)?;
+    let frames = frames(&text, limits)?;
+    let first = frames.first().and_then(|frame| frame.grids.first());
+    if let Some(range) = first
+        && !grid(&text[range.clone()], 0).is_ok_and(|grid| grid.has_points())
+    {
+        return Ok(Vec::new());
+    }
+    Ok(frames.iter().zip(0..).map(|(frame, number)| Sample { number, time: frame.time }).collect())
+}
+
+/// Reads a frame by its index in [`samples`], with the files that it names.
+///
+/// # Errors
+/// Those of [`samples`] and of HDF5; [`Error::Io`] if a file cannot be opened; [`Error::Unsupported`] for
+/// items that select or compute values, and for grids that are not points.
+pub fn read(container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
+    let text = text_of(container)?;
+    let frames = frames(&text, limits)?;
+    let frame = frames.get(index).ok_or_else(|| {
+        let what =
+            if frames.is_empty() { "expected a <Grid>".into() } else { format!("there is no frame {index}") };
+        Error::invalid(FORMAT, Position::File, what)
+    })?;
+    let mut items =
+        ItemReader { container, limits, opened: HashSet::new(), bytes: text.len() as u64, spent: 0 };
+    let mut notes = Vec::new();
+    let pieces: Result<Vec<VtkPiece>> =
+        frame.grids.iter().map(|range| piece(&text, range, &mut items, &mut notes)).collect();
+    notes.dedup();
+    let pieces = pieces?;
+    limits.check_particles(FORMAT, pieces.iter().map(|piece| piece.positions.len() as u64).sum())?;
+    Ok(joined(pieces, notes))
+}
+
+/// Whether a text is XDMF, judged by its start.
+pub(crate) fn looks_like_xdmf(text: &[u8]) -> bool {
+    text.starts_with(b"<") && text.windows(5).any(|window| window == b"<Xdmf")
+}
+
+fn text_of(container: &ContainerFile) -> Result<String> {
+    let bytes = batches::read(container.file, 0..container.file.size_bytes()?)?;
+    if !bytes.trim_ascii_end().ends_with(b"</Xdmf>") {
+        let position = Position::Offset(bytes.len() as u64);
+        return Err(Error::truncated(FORMAT, position, "the file ends without </Xdmf>"));
+    }
+    String::from_utf8(bytes).map_err(|error| {
+        let at = error.utf8_error().valid_up_to() as u64;
+        Error::invalid(FORMAT, Position::Offset(at), "expected UTF-8 text")
+    })
+}
+
+fn malformed(at: u64, what: impl Into<String>) -> Error {
+    Error::invalid(FORMAT, Position::Offset(at), what)
+}
+
+fn unsupported(what: impl Into<String>) -> Error {
+    Error::unsupported(FORMAT, what)
+}
+
+/// The value of an attribute of a tag, which some versions write with a prefix: `GeometryType` and `Type`.
+fn value(tag: &BytesStart, names: &[&str], at: u64) -> Result<Option<String>> {
+    for name in names {
+        if let Some(value) = attribute(tag, name, at).map_err(|error| error.with_format(FORMAT))? {
+            return Ok(Some(value));
+        }
+    }
+    Ok(None)
+}
+
+/// Calls `event` with each tag and text, and with the range of its bytes. Empty elements give a start and an end.
+fn parse<'a>(text: &'a str, mut event: impl FnMut(XmlEvent<'a, '_>, Range<u64>) -> Result<()>) -> Result<()> {
+    let mut reader = Reader::from_str(text);
+    // To check the names of end tags, the parser would store the names of all open elements.
+    reader.config_mut().check_end_names = false;
+    loop {
+        let start = reader.buffer_position();
+        let found =
+            reader.read_event().map_err(|error| malformed(reader.error_position(), error.to_string()))?;
+        let range = start..reader.buffer_position();
+        match found {
+            Event::Start(tag) => event(XmlEvent::Start(tag.local_name().as_ref(), &tag), range)?,
+            Event::Empty(tag) => {
+                event(XmlEvent::Start(tag.local_name().as_ref(), &tag), range.clone())?;
+                event(XmlEvent::End(tag.local_name().as_ref()), range)?;
+            }
+            Event::End(tag) => event(XmlEvent::End(tag.local_name().as_ref()), range)?,
+            Event::Text(text) => {
+                if let Cow::Borrowed(text) = text.into_inner() {
+                    event(XmlEvent::Text(text), range)?;
+                }
+            }
+            Event::Eof => return Ok(()),
+            _ => {}
+        }
+    }
+}
+
+enum XmlEvent<'a, 'b> {
+    Start(&'b str, &'b BytesStart<'a>),
+    End(&'b str),
+    Text(&'a str),
+}
+
+// Finds the frames.
+
+/// The grids of a time: ranges of the text.
+struct XdmfFrame {
+    time: Option<f64>,
+    /// The number of the child of a temporal collection in which they are.
+    step: Option<usize>,
+    grids: Vec<Range<usize>>,
+}
+
+/// A grid without grids in it.
+struct FoundGrid {
+    range: Range<usize>,
+    time: Option<f64>,
+    step: Option<usize>,
+}
+
+/// An element that has not ended.
+struct OpenGrid {
+    start: u64,
+    is_temporal: bool,
+    is_uniform: bool,
+    step: Option<usize>,
+    /// The number of grids before it.
+    grids_before: usize,
+    time: Option<f64>,
+}
+
+/// The frames of the file: the children of a temporal collection, or the grids of each time.
+fn frames(text: &str, limits: &Limits) -> Result<Vec<XdmfFrame>> {
+    let mut frames: Vec<XdmfFrame> = Vec::new();
+    for FoundGrid { range, time, step } in found_grids(text, limits)? {
+        match frames.last_mut() {
+            // Grids of one time follow one another.
+            Some(last) if last.step == step && (step.is_some() || last.time == time) => {
+                last.grids.push(range)
+            }
+            _ => frames.push(XdmfFrame { time, step, grids: vec![range] }),
+        }
+    }
+    Ok(frames)
+}
+
+fn found_grids(text: &str, limits: &Limits) -> Result<Vec<FoundGrid>> {
+    let mut found: Vec<FoundGrid> = Vec::new();
+    let mut open: Vec<OpenGrid> = Vec::new();
+    let mut step_count = 0;
+    parse(text, |event, range| {
+        match event {
+            XmlEvent::Start("Grid", tag) => {
+                if open.len() >= DEPTH_MAX {
+                    let what = format!("grids are nested more than {DEPTH_MAX} deep");
+                    return Err(malformed(range.start, what));
+                }
+                let kind = value(tag, &["GridType"], range.start)?.unwrap_or_default().to_ascii_lowercase();
+                let collection = value(tag, &["CollectionType"], range.start)?.unwrap_or_default();
+                let step = match open.last() {
+                    Some(parent) if parent.is_temporal => {
+                        step_count += 1;
+                        Some(step_count)
+                    }
+                    parent => parent.and_then(|parent| parent.step),
+                };
+                open.push(OpenGrid {
+                    start: range.start,
+                    is_temporal: kind == "collection" && collection.eq_ignore_ascii_case("temporal"),
+                    is_uniform: !["collection", "tree", "subset"].contains(&&*kind),
+                    step,
+                    grids_before: found.len(),
+                    time: None,
+                });
+            }
+            XmlEvent::Start("Time", tag) => {
+                let time = value(tag, &["Value"], range.start)?.and_then(|time| time.trim().parse().ok());
+                if let (Some(grid), Some(_)) = (open.last_mut(), time) {
+                    grid.time = time.filter(|time: &f64| time.is_finite());
+                }
+            }
+            XmlEvent::End("Grid") => {
+                let grid = open.pop().ok_or_else(|| malformed(range.start, "expected no </Grid>"))?;
+                if grid.is_uniform {
+                    limits.check_step(FORMAT, found.len())?;
+                    let at = [grid.start, range.end].map(|at| usize::try_from(at).unwrap_or(usize::MAX));
+                    found.push(FoundGrid { range: at[0]..at[1], time: None, step: grid.step });
+                }
+                for inner in &mut found[grid.grids_before..] {
+                    inner.time = inner.time.or(grid.time);
+                }
+            }
+            XmlEvent::Start("include", _) => {
+                let what =
+                    "the file includes other files (xi:include), which is not supported: give those files";
+                return Err(unsupported(what));
+            }
+            _ => {}
+        }
+        Ok(())
+    })?;
+    Ok(found)
+}
+
+/// How deep grids may be nested: the time of a grid is passed to all grids in it.
+const DEPTH_MAX: usize = 16;
+
+// Reads the items of a grid.
+
+/// A grid with its items.
+#[derive(Default)]
+struct XdmfGrid<'a> {
+    topology: String,
+    /// The type of the geometry, if there is one.
+    geometry: Option<String>,
+    points: Vec<DataItem<'a>>,
+    attributes: Vec<XdmfAttribute<'a>>,
+}
+
+struct XdmfAttribute<'a> {
+    name: String,
+    is_at_points: bool,
+    items: Vec<DataItem<'a>>,
+}
+
+/// An array, before its values are read.
+struct DataItem<'a> {
+    at: u64,
+    count: Option<u64>,
+    number: Option<NumberType>,
+    endian: Endian,
+    format: String,
+    seek: u64,
+    /// Why it cannot be read.
+    obstacle: Option<String>,
+    text: &'a str,
+}
+
+impl XdmfGrid<'_> {
+    /// Whether the grid lists its points, each with three coordinates.
+    fn has_points(&self) -> bool {
+        let is_listed = |kind: &String| ["XYZ", "X_Y_Z", ""].contains(&&*kind.to_ascii_uppercase());
+        self.geometry.as_ref().is_some_and(is_listed)
+    }
+}
+
+/// Parses a grid, which starts at `offset` of the file.
+fn grid(text: &str, offset: u64) -> Result<XdmfGrid<'_>> {
+    let mut grid = XdmfGrid::default();
+    let (mut is_in_geometry, mut is_in_attribute, mut depth) = (false, false, 0u32);
+    parse(text, |event, range| {
+        let at = offset + range.start;
+        let items = if is_in_geometry {
+            Some(&mut grid.points)
+        } else if is_in_attribute {
+            grid.attributes.last_mut().map(|attribute| &mut attribute.items)
+        } else {
+            None
+        };
+        match event {
+            XmlEvent::Start("Topology", tag) => {
+                grid.topology = value(tag, &["TopologyType", "Type"], at)?.unwrap_or_default();
+            }
+            XmlEvent::Start("Geometry", tag) => {
+                grid.geometry = Some(value(tag, &["GeometryType", "Type"], at)?.unwrap_or_default());
+                is_in_geometry = true;
+            }
+            XmlEvent::Start("Attribute", tag) => {
+                let center = value(tag, &["Center"], at)?.unwrap_or_default();
+                grid.attributes.push(XdmfAttribute {
+                    name: value(tag, &["Name"], at)?.unwrap_or_default(),
+                    is_at_points: center.is_empty() || center.eq_ignore_ascii_case("node"),
+                    items: Vec::new(),
+                });
+                is_in_attribute = true;
+            }
+            XmlEvent::Start("DataItem", tag) => {
+                depth += 1;
+                if let (Some(items), 1) = (items, depth) {
+                    items.push(data_item(tag, at)?);
+                }
+            }
+            XmlEvent::Text(text) => {
+                if let Some(item) = items.and_then(|items| items.last_mut())
+                    && depth == 1
+                    && item.text.is_empty()
+                {
+                    item.text = text.trim();
+                }
+            }
+            XmlEvent::End("DataItem") => depth = depth.saturating_sub(1),
+            XmlEvent::End("Geometry") => is_in_geometry = false,
+            XmlEvent::End("Attribute") => is_in_attribute = false,
+            _ => {}
+        }
+        Ok(())
+    })?;
+    Ok(grid)
+}
+
+fn data_item<'a>(tag: &BytesStart, at: u64) -> Result<DataItem<'a>> {
+    let text = |names: &[&str], default: &str| {
+        Ok::<_, Error>(
+            value(tag, names, at)?.map_or(default.to_owned(), |text| text.trim().to_ascii_lowercase()),
+        )
+    };
+    let (kind, reference) = (text(&["ItemType"], "uniform")?, value(tag, &["Reference"], at)?);
+    let obstacle = if kind != "uniform" {
+        Some(format!("an item of the type {}", excerpt(&kind)))
+    } else if reference.is_some() {
+        Some("a reference to another item".to_owned())
+    } else if !["", "raw"].contains(&&*text(&["Compression"], "")?) {
+        Some("a compressed item".to_owned())
+    } else {
+        None
+    };
+    let dimensions = text(&["Dimensions"], "")?;
+    let count = dimensions
+        .split_ascii_whitespace()
+        .try_fold(1u64, |count, word| count.checked_mul(word.parse().ok()?));
+    let number = match (&*text(&["NumberType", "DataType"], "float")?, &*text(&["Precision"], "")?) {
+        ("float", "" | "4") => Some(NumberType::F32),
+        ("float", "8") => Some(NumberType::F64),
+        ("int", "" | "4") => Some(NumberType::I32),
+        ("int", "8") => Some(NumberType::I64),
+        ("int", "2") => Some(NumberType::I16),
+        ("uint", "" | "4") => Some(NumberType::U32),
+        ("uint", "8") => Some(NumberType::U64),
+        ("uint", "2") => Some(NumberType::U16),
+        ("char", "" | "1") | ("int", "1") => Some(NumberType::I8),
+        ("uchar", "" | "1") | ("uint", "1") => Some(NumberType::U8),
+        _ => None,
+    };
+    Ok(DataItem {
+        at,
+        count: count.filter(|_| !dimensions.is_empty()),
+        number,
+        endian: if text(&["Endian"], "native")? == "big" { Endian::Big } else { Endian::Little },
+        format: text(&["Format"], "xml")?,
+        seek: text(&["Seek"], "0")?.parse().map_err(|_| malformed(at, "Seek: expected a number"))?,
+        obstacle,
+        text: "",
+    })
+}
+
+/// The points of a grid and their attributes.
+fn piece(
+    text: &str,
+    range: &Range<usize>,
+    items: &mut ItemReader,
+    notes: &mut Vec<String>,
+) -> Result<VtkPiece> {
+    let grid = grid(&text[range.clone()], range.start as u64)?;
+    if !grid.has_points() {
+        let kind = excerpt(grid.geometry.as_deref().unwrap_or("none"));
+        return Err(unsupported(format!("expected a geometry of the type XYZ, found {kind}: not particles")));
+    }
+    if !["polyvertex", ""].contains(&&*grid.topology.to_ascii_lowercase()) {
+        notes
+            .push(format!("cells of the type {} are ignored: only points are read", excerpt(&grid.topology)));
+    }
+    let mut columns: Vec<Values> =
+        grid.points.iter().map(|item| items.values(item)).collect::<Result<_>>()?;
+    let at = grid.points.first().map_or(range.start as u64, |item| item.at);
+    let values = match &columns[..] {
+        [_] => columns.pop(),
+        [x, y, z] => interleaved(&[x, y, z]),
+        _ => None,
+    };
+    let wrong = || malformed(at, "the points must be one item, or three of the same type and length");
+    let values = values.filter(|values| values.len() % 3 == 0).ok_or_else(wrong)?;
+    let positions = positions(values).ok_or_else(wrong)?;
+    let arrays = grid.attributes.iter().map(|attribute| array(attribute, &positions, items, notes));
+    let arrays: Vec<Option<NamedArray>> = arrays.collect::<Result<_>>()?;
+    Ok(VtkPiece { positions, arrays: arrays.into_iter().flatten().collect() })
+}
+
+/// The values of an attribute; `None`, with a note, if it has none for the points.
+fn array(
+    attribute: &XdmfAttribute,
+    positions: &FilePositions,
+    items: &mut ItemReader,
+    notes: &mut Vec<String>,
+) -> Result<Option<NamedArray>> {
+    let count = positions.len() as u64;
+    let reason = match &attribute.items[..] {
+        _ if !attribute.is_at_points => "it has no values at the points".to_owned(),
+        [DataItem { obstacle: Some(obstacle), .. }] => format!("it is {obstacle}"),
+        [item @ DataItem { count: Some(found), .. }] if count > 0 && found % count == 0 && *found > 0 => {
+            let values = items.values(item)?;
+            let arity = usize::try_from(found / count).unwrap_or_default();
+            return Ok(Some(NamedArray { name: attribute.name.clone(), arity, values }));
+        }
+        [DataItem { count: Some(found), .. }] => format!("it has {found} values for {count} points"),
+        _ => "it has no dimensions, or several items".to_owned(),
+    };
+    notes.push(format!("skipped `{}`: {reason}", excerpt(&attribute.name)));
+    Ok(None)
+}
+
+/// Reads items, within the limits for all files of a frame.
+struct ItemReader<'a, 'b> {
+    container: &'a ContainerFile<'b>,
+    limits: &'a Limits,
+    opened: HashSet<String>,
+    /// Bytes of the index and of the opened files.
+    bytes: u64,
+    /// Bytes of the values that were read.
+    spent: u64,
+}
+
+impl ItemReader<'_, '_> {
+    fn values(&mut self, item: &DataItem) -> Result<Values> {
+        if let Some(obstacle) = &item.obstacle {
+            return Err(unsupported(format!("{obstacle} is not supported: save plain items")));
+        }
+        let count = item.count.ok_or_else(|| malformed(item.at, "the item has no Dimensions"))?;
+        let number = item
+            .number
+            .ok_or_else(|| malformed(item.at, "the item has an unknown NumberType or Precision"))?;
+        match &*item.format {
+            "xml" => {
+                self.spend(count, "")?;
+                parsed(item, number, count)
+            }
+            "hdf" => {
+                let (path, name) = item
+                    .text
+                    .split_once(":/")
+                    .ok_or_else(|| malformed(item.at, "expected FILE:/DATA_SET"))?;
+                let file = self.open(path)?;
+                self.spend(count, path)?;
+                let values = hdf5::read_values(&*file, name, count, self.limits);
+                values.map_err(|error| within(error, path))
+            }
+            "binary" => {
+                let file = self.open(item.text)?;
+                self.spend(count, item.text)?;
+                let size =
+                    count.checked_mul(number.size() as u64).and_then(|size| size.checked_add(item.seek));
+                let end = size.filter(|&end| file.size_bytes().is_ok_and(|bytes| end <= bytes)).ok_or_else(
+                    || {
+                        malformed(
+                            item.at,
+                            format!("the file {} has fewer than {count} numbers", excerpt(item.text)),
+                        )
+                    },
+                )?;
+                Ok(number.decode(&batches::read(&*file, item.seek..end)?, item.endian))
+            }
+            other => Err(malformed(item.at, format!("the item has the unknown format {}", excerpt(other)))),
+        }
+    }
+
+    fn open(&mut self, path: &str) -> Result<Box<dyn batches::ReadAt>> {
+        let file = (self.container.open)(path).map_err(|error| {
+            std::io::Error::new(error.kind(), format!("{}: {error}", crate::text::escaped(path)))
+        })?;
+        if self.opened.insert(path.to_owned()) {
+            self.bytes = self.bytes.saturating_add(file.size_bytes()?);
+        }
+        Ok(file)
+    }
+
+    /// Counts values that become 64-bit numbers at most.
+    fn spend(&mut self, count: u64, path: &str) -> Result<()> {
+        self.spent = self.spent.saturating_add(count.saturating_mul(8));
+        if self.spent <= self.limits.decompressed_bytes_of(self.bytes) {
+            return Ok(());
+        }
+        let what =
+            format!("the items expand to more bytes than the limit for files of this size {}", excerpt(path));
+        Err(Error::too_large(FORMAT, what))
+    }
+}
+
+/// The numbers in the text of an item.
+fn parsed(item: &DataItem, number: NumberType, count: u64) -> Result<Values> {
+    let wrong = |what: &str| malformed(item.at, format!("expected {count} numbers, found {what}"));
+    let mut numbers: Vec<f64> = Vec::new();
+    let mut integers: Vec<i64> = Vec::new();
+    let is_float = matches!(number, NumberType::F32 | NumberType::F64);
+    for word in item.text.split_ascii_whitespace() {
+        if is_float {
+            let parsed = parse_number(word.as_bytes()).filter(|&(_, length)| length == word.len());
+            numbers.push(parsed.ok_or_else(|| wrong(&excerpt(word)))?.0);
+        } else {
+            integers.push(word.parse().map_err(|_| wrong(&excerpt(word)))?);
+        }
+    }
+    let found = numbers.len() + integers.len();
+    if found as u64 != count {
+        return Err(wrong(&found.to_string()));
+    }
+    Ok(match number {
+        NumberType::F64 => Values::F64(numbers),
+        #[expect(clippy::cast_possible_truncation, reason = "the file states 32 bits")]
+        NumberType::F32 => Values::F32(numbers.into_iter().map(|number| number as f32).collect()),
+        _ => Values::I64(integers),
+    })
+}
+
+/// An error in a file that the index names.
+fn within(error: Error, path: &str) -> Error {
+    let what = format!("{}: {error}", excerpt(path));
+    match error {
+        Error::Truncated { .. } => Error::truncated(FORMAT, Position::File, what),
+        Error::Invalid { .. } => Error::invalid(FORMAT, Position::File, what),
+        Error::Unsupported { .. } => unsupported(what),
+        Error::TooLarge { .. } => Error::too_large(FORMAT, what),
+        Error::Io(_) | Error::MemoryLimit { .. } => error,
+    }
+}

@@ -1,0 +1,175 @@
+//! HDF5 files in the layouts of several programs. The files in `hdf5/` were written by `hdf5/write.py`.
+
+use std::fmt::Write;
+
+use crate::fixtures::hdf5_files;
+use meniscus_formats::{
+    AttributeRole, ContainerFile, Error, FilePositions, Limits, ParticleFrame, Sample, Values, hdf5, probe,
+    read_particles,
+};
+
+fn file(name: &str) -> Vec<u8> {
+    hdf5_files().into_iter().find(|(found, _)| found == name).unwrap().1
+}
+
+fn samples(bytes: &[u8]) -> Result<Vec<Sample>, Error> {
+    hdf5::samples(&container(&bytes), &Limits::default())
+}
+
+fn read(bytes: &[u8], index: usize) -> Result<ParticleFrame, Error> {
+    hdf5::read(&container(&bytes), index, &Limits::default())
+}
+
+fn container<'a>(bytes: &'a &'a [u8]) -> ContainerFile<'a> {
+    ContainerFile { file: bytes, name: "a.h5", open: &|_| Err(std::io::ErrorKind::NotFound.into()) }
+}
+
+/// `name arity role first-value..last-value` of each attribute.
+fn described(frame: &ParticleFrame) -> String {
+    let mut text = String::new();
+    for attribute in &frame.attributes {
+        let values: Vec<f64> = match &attribute.values {
+            Values::F32(values) => values.iter().map(|&value| value.into()).collect(),
+            Values::F64(values) => values.clone(),
+            Values::U8(values) => values.iter().map(|&value| value.into()).collect(),
+            Values::I32(values) => values.iter().map(|&value| value.into()).collect(),
+            Values::I64(values) => values.iter().map(|&value| value as f64).collect(),
+            Values::Strings { .. } => vec![],
+        };
+        assert_eq!(values.len(), 6 * attribute.arity, "{}", attribute.name);
+        let role = attribute.role.map_or("-".into(), |role: AttributeRole| format!("{role:?}"));
+        let (first, last) = (values[0], values[values.len() - 1]);
+        write!(text, "{} {} {role} {first} {last}; ", attribute.name, attribute.arity).unwrap();
+    }
+    text.trim_end().to_owned()
+}
+
+fn check_positions(frame: &ParticleFrame, step: f64, name: &str) {
+    let positions: Vec<[f64; 3]> = match &frame.positions {
+        FilePositions::F32(positions) => positions.iter().map(|position| position.map(f64::from)).collect(),
+        FilePositions::F64(positions) => positions.clone(),
+    };
+    let expected: Vec<_> = (0..6).map(f64::from).map(|i| [i / 2.0 + step, i / 4.0 - 1.0, 3.0 - i]).collect();
+    assert_eq!(positions, expected, "of {name}");
+}
+
+const VELOCITY: &str = "3 Velocity 0 -5;";
+
+/// A column for each kind of storage and type.
+const TYPES: &str = "fill 1 - 2.5 2.5; flags 1 - 0 1; single 50 - 0 5; tree 3 - 0 -5; type i1 1 - 100 105; \
+    type i8 1 - 100 105; type u2 1 - 100 105; type u4 1 - 100 105; type u8 1 - 100 105;";
+const TYPES_NOTES: &str =
+    "skipped `scalar`: it is a single value|skipped `other`: it has 7 rows for 6 particles";
+
+/// Files with one frame: name, time, attributes, and the notes.
+#[test]
+fn layouts_with_one_frame_are_read() {
+    let table = [
+        (
+            "gadget.h5",
+            Some(0.25),
+            format!("Masses 1 Mass 0.5 0.5; ParticleIDs 1 Id 100 105; Velocities {VELOCITY}"),
+            "only the particles of `PartType0` were read, not those of PartType1",
+        ),
+        (
+            "swift.h5",
+            Some(0.5),
+            format!(
+                "Densities 1 Density 1000 1005; {} ParticleIDs 1 Id 100 105; Velocities {VELOCITY}",
+                (0..9).map(|index| format!("Extra{index} 1 - 0 5;")).collect::<Vec<_>>().join(" ")
+            ),
+            "skipped `Names`: it is not numeric|skipped `Tensors`: it has the shape [6, 3, 3]|links to the file \
+             `other.h5` were not followed",
+        ),
+        (
+            "pysph.hdf5",
+            Some(1.5),
+            format!("rho 1 Density 1000 1005; velocity {VELOCITY}"),
+            "only the particles of `particles/fluid/arrays` were read, not those of particles/boundary/array…",
+        ),
+        (
+            "vtk.vtkhdf",
+            None,
+            format!("Velocity {VELOCITY}"),
+            "skipped `NumberOfPoints`: it has 1 rows for 6 particles",
+        ),
+        (
+            "records.h5",
+            None,
+            format!("vel {VELOCITY} id 1 Id 100 105;"),
+            "skipped fields of `particles` that are not numeric: label",
+        ),
+        ("old.h5", None, TYPES.into(), TYPES_NOTES),
+        ("new.h5", None, TYPES.into(), TYPES_NOTES),
+    ];
+    for (name, time, attributes, notes) in table {
+        let bytes = file(name);
+        assert_eq!(probe(&bytes, "a").to_string(), "HDF5");
+        let samples = samples(&bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert_eq!(samples, [Sample { number: 0, time }], "of {name}");
+        let frame = read(&bytes, 0).unwrap_or_else(|error| panic!("{name}: {error}"));
+        check_positions(&frame, 0.0, name);
+        assert_eq!(described(&frame), attributes, "of {name}");
+        assert_eq!(frame.notes.join("|"), notes, "of {name}");
+    }
+}
+
+/// Files with several frames: name, numbers and times of the frames, attributes of each, notes.
+#[test]
+fn steps_and_iterations_are_frames() {
+    let table = [
+        ("steps.h5part", vec![(0, 0.0), (2, 0.5), (10, 2.5)], format!("id 1 Id 100 105; v {VELOCITY}"), ""),
+        (
+            "openpmd.h5",
+            vec![(20, 10.0), (100, 50.0)],
+            format!("id 1 Id 100 105; mass 1 Mass 0.125 0.125; velocity {VELOCITY}"),
+            "positions are in units of 0.001 m",
+        ),
+    ];
+    for (name, expected, attributes, notes) in table {
+        let bytes = file(name);
+        let found = samples(&bytes).unwrap();
+        let expected: Vec<_> =
+            expected.into_iter().map(|(number, time)| Sample { number, time: Some(time) }).collect();
+        assert_eq!(found, expected, "of {name}");
+        for (index, sample) in found.iter().enumerate() {
+            let frame = read(&bytes, index).unwrap_or_else(|error| panic!("{name}: {error}"));
+            check_positions(&frame, sample.number as f64, name);
+            assert_eq!(described(&frame), attributes, "of {name}");
+            assert_eq!(frame.notes.join("|"), notes, "of {name}");
+        }
+        assert!(read(&bytes, found.len()).is_err());
+        let error = read_particles(&bytes, name, &Limits::default()).unwrap_err().to_string();
+        assert!(error.contains("frames, and one was expected"), "{error}");
+    }
+}
+
+#[test]
+fn files_without_particles_have_no_frames() {
+    let bytes = file("none.h5");
+    assert_eq!(samples(&bytes).unwrap(), []);
+    let error = read(&bytes, 0).unwrap_err().to_string();
+    let words = "the file has grid/, density; skipped `density`: it has the shape [4, 4, 4]; skipped `x`: it \
+        is the axis of a grid";
+    assert!(error.contains(words), "{error}");
+}
+
+#[test]
+fn truncated_files_are_reported_as_such() {
+    for (name, bytes) in hdf5_files() {
+        for cut in (8..200).chain((200..bytes.len()).step_by(97)) {
+            let error = samples(&bytes[..cut]).unwrap_err();
+            assert!(error.is_truncated(), "{name}, cut at {cut} of {}: {error}", bytes.len());
+        }
+    }
+    let error = samples(&file("open.h5")).unwrap_err();
+    assert!(error.is_truncated() && error.to_string().contains("has not closed it"), "{error}");
+}
+
+#[test]
+fn data_beyond_the_limits_is_an_error() {
+    let limits = Limits { particle_count: 5, ..Limits::default() };
+    let bytes = file("gadget.h5");
+    let error = hdf5::read(&container(&&bytes[..]), 0, &limits).unwrap_err();
+    assert!(matches!(error, Error::TooLarge { .. }), "{error}");
+}
