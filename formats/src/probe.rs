@@ -9,6 +9,7 @@ use std::borrow::Cow;
 use std::fmt;
 use std::ops::Range;
 
+use crate::abc;
 use crate::compression::{Codec, name_without_compression};
 use crate::csv;
 use crate::table::Format;
@@ -110,6 +111,8 @@ pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
             Some(codec) => csv::looks_like_particles(&codec.decompress_head(head, HEAD_BYTES)),
             None => csv::looks_like_particles(head),
         },
+        // The content of other archives is known only from their end.
+        ProbedKind::Format(Format::Abc) => !abc::is_own(head),
         kind => kind.format().is_some_and(Format::has_particles),
     }
 }
@@ -117,6 +120,9 @@ pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
 fn kind_of(head: &[u8], name: &str) -> ProbedKind {
     if head.is_empty() {
         return ProbedKind::Empty;
+    }
+    if name.ends_with(".abc") && head.starts_with(abc::HDF5) {
+        return ProbedKind::Format(Format::Abc);
     }
     let has_signature = |format: &Format| format.row().signatures.iter().any(|bytes| head.starts_with(bytes));
     if let Some(format) = Format::ALL.into_iter().find(has_signature) {
