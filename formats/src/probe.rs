@@ -14,6 +14,7 @@ use crate::compression::{Codec, name_without_compression};
 use crate::csv;
 use crate::table::Format;
 use crate::text::{Lines, parse_number};
+use crate::vdb;
 use crate::xyz_ext::looks_like_atoms;
 
 /// What a file was recognised as.
@@ -125,8 +126,10 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
         return ProbedKind::Format(Format::Abc);
     }
     let has_signature = |format: &Format| format.row().signatures.iter().any(|bytes| head.starts_with(bytes));
-    if let Some(format) = Format::ALL.into_iter().find(has_signature) {
-        return ProbedKind::Format(format);
+    match Format::ALL.into_iter().find(has_signature) {
+        Some(Format::Vdb) if vdb::starts_with_points(head) => return ProbedKind::Format(Format::VdbPoints),
+        Some(format) => return ProbedKind::Format(format),
+        None => {}
     }
     if let Cow::Owned(text) = csv::decoded(head) {
         return match kind_of(&text, name) {

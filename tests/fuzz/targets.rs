@@ -69,6 +69,7 @@ pub(crate) const TARGETS: &[Target] = &[
     compressed("vtp_mesh", |bytes| drop(vtk::read_mesh(bytes, &limits()))),
     compressed("vdb_level_set", |bytes| drop(vdb::read_level_set(bytes, None, &limits()))),
     compressed("vdb_grids", vdb_grids),
+    compressed("vdb_points", |bytes| checked(vdb::read_points(bytes, &limits()))),
     plain("gltf", gltf_parts),
     plain("gltf_frame", gltf_frame),
     plain("usda_head", |bytes| drop((usda::read_layer_info(bytes), usda::read_sampled_properties(bytes)))),

@@ -94,7 +94,7 @@ pub(super) struct ObjectHeader {
 
 /// The header of a property, and a reference to its samples.
 #[derive(Clone, Debug)]
-pub(super) struct Property {
+pub(super) struct PropertyHeader {
     pub(super) name: String,
     pub(super) metadata: Rc<str>,
     pub(super) sample_count: u32,
@@ -106,7 +106,7 @@ pub(super) struct Property {
     reference: Reference,
 }
 
-impl Property {
+impl PropertyHeader {
     /// Alembic's code for the type of the property's numbers; `None` for a compound.
     pub(super) fn pod(&self) -> Option<u32> {
         (self.word & bits::KIND != 0).then_some(self.word >> bits::POD_SHIFT & 0xf)
@@ -222,7 +222,7 @@ impl<'a> Archive<'a> {
     }
 
     /// The last sample of a property at or before a time or, if there is none or no time is given, the first.
-    pub(super) fn index_at(&self, property: &Property, time: Option<f64>) -> u32 {
+    pub(super) fn index_at(&self, property: &PropertyHeader, time: Option<f64>) -> u32 {
         let Some(time) = time else { return 0 };
         let (mut first, mut end) = (0, property.sample_count);
         while end.saturating_sub(first) > 1 {
@@ -239,7 +239,7 @@ impl<'a> Archive<'a> {
     // Objects and properties.
 
     /// The properties of an object, and its children.
-    pub(super) fn object(&self, reference: Reference) -> Result<(Vec<Property>, Vec<ObjectHeader>)> {
+    pub(super) fn object(&self, reference: Reference) -> Result<(Vec<PropertyHeader>, Vec<ObjectHeader>)> {
         let group = self.group(reference, "an object")?;
         // The first child is the compound of properties, the last one the data with the names of child
         // objects.
@@ -260,7 +260,7 @@ impl<'a> Archive<'a> {
     }
 
     /// The properties in a compound property.
-    pub(super) fn compound(&self, property: &Property) -> Result<Vec<Property>> {
+    pub(super) fn compound(&self, property: &PropertyHeader) -> Result<Vec<PropertyHeader>> {
         if property.pod().is_some() {
             let what = format!("expected {} to be a compound property", excerpt(&property.name));
             return Err(Error::invalid(FORMAT, Position::Offset(property.reference), what));
@@ -268,7 +268,7 @@ impl<'a> Archive<'a> {
         self.properties(property.reference)
     }
 
-    fn properties(&self, compound: Reference) -> Result<Vec<Property>> {
+    fn properties(&self, compound: Reference) -> Result<Vec<PropertyHeader>> {
         let children = self.group(compound, "a compound property")?;
         let Some((headers, references)) = children.split_last() else { return Ok(Vec::new()) };
         let bytes = self.data(*headers, "the headers of properties")?;
@@ -276,7 +276,7 @@ impl<'a> Archive<'a> {
         references.iter().map(|reference| self.property(&mut rest, *reference)).collect()
     }
 
-    fn property(&self, rest: &mut Words, reference: Reference) -> Result<Property> {
+    fn property(&self, rest: &mut Words, reference: Reference) -> Result<PropertyHeader> {
         let word = rest.number(4)?;
         let width = match word >> bits::WIDTH_SHIFT & 3 {
             0 => 1,
@@ -298,7 +298,7 @@ impl<'a> Archive<'a> {
         let length = rest.number(width)?;
         let name = rest.text(length)?;
         let metadata = self.metadata_of(word >> bits::METADATA_SHIFT & bits::METADATA_FOLLOW, width, rest)?;
-        Ok(Property { name, metadata, sample_count, changes, sampling, word, reference })
+        Ok(PropertyHeader { name, metadata, sample_count, changes, sampling, word, reference })
     }
 
     /// The metadata with an index among the shared ones; entry 0, which is not stored, is empty.
@@ -317,7 +317,7 @@ impl<'a> Archive<'a> {
     // Samples.
 
     /// The data of a sample of a property; `None` without samples.
-    pub(super) fn sample(&self, property: &Property, index: u32) -> Result<Option<Reference>> {
+    pub(super) fn sample(&self, property: &PropertyHeader, index: u32) -> Result<Option<Reference>> {
         if property.sample_count == 0 {
             return Ok(None);
         }
@@ -351,7 +351,7 @@ impl<'a> Archive<'a> {
     }
 
     /// The bytes of a sample without its digest. `memory` is what its values need per byte.
-    fn sample_data(&self, property: &Property, index: u32, memory: u64) -> Result<Vec<u8>> {
+    fn sample_data(&self, property: &PropertyHeader, index: u32, memory: u64) -> Result<Vec<u8>> {
         let sample = self.sample(property, index)?;
         let length = self.sample_bytes(sample)?;
         self.claim(length.saturating_mul(1 + memory))?;
@@ -369,7 +369,7 @@ impl<'a> Archive<'a> {
     /// The elements of a sample, each of `N` bytes, of values of this type.
     pub(super) fn elements<const N: usize>(
         &self,
-        property: &Property,
+        property: &PropertyHeader,
         (pod, extent): (Pod, usize),
         index: u32,
     ) -> Result<Vec<[u8; N]>> {
@@ -386,7 +386,7 @@ impl<'a> Archive<'a> {
     }
 
     /// The numbers of a sample; for strings, each of them.
-    fn values(&self, property: &Property, index: u32) -> Result<Values> {
+    fn values(&self, property: &PropertyHeader, index: u32) -> Result<Values> {
         let pod = property.pod().unwrap_or_default() as usize;
         if pod == Pod::String as usize {
             let (mut indices, mut table, mut known) = (Vec::new(), Vec::new(), HashMap::new());
@@ -407,7 +407,7 @@ impl<'a> Archive<'a> {
         Ok(number.decode(&self.sample_data(property, index, memory)?, Endian::Little))
     }
 
-    fn strings(&self, property: &Property, index: u32) -> Result<Vec<String>> {
+    fn strings(&self, property: &PropertyHeader, index: u32) -> Result<Vec<String>> {
         // In the file, an empty string is a single byte. Invalid UTF-8 becomes longer.
         let bytes = self.sample_data(property, index, 8)?;
         let count = bytes.iter().filter(|byte| **byte == 0).count() + 1;
@@ -416,7 +416,7 @@ impl<'a> Archive<'a> {
     }
 
     /// The values of a geometry parameter at a time: an array, or values and indices into them.
-    pub(super) fn param(&self, property: &Property, time: Option<f64>) -> Result<ParamValues> {
+    pub(super) fn param(&self, property: &PropertyHeader, time: Option<f64>) -> Result<ParamValues> {
         let parts = if property.pod().is_none() { self.compound(property)? } else { Vec::new() };
         let part = |name: &str| parts.iter().find(|part| part.name == name);
         let values = part(".vals").unwrap_or(property);

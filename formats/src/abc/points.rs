@@ -9,7 +9,7 @@
 //! the times are those of whole frames, at the rate of the shortest step between two of them; else its index.
 
 use super::FORMAT;
-use super::archive::{Property, entry};
+use super::archive::{PropertyHeader, entry};
 use super::mesh::{IDENTITY, Matrix, cofactors, determinant, names, transformed};
 use super::scene::{Geometry, GeometryKind, Scene, positions};
 use crate::batches::ReadAt;
@@ -160,7 +160,7 @@ impl PointsReader<'_> {
     /// for all points.
     fn array(
         &mut self,
-        property: &Property,
+        property: &PropertyHeader,
         name: &str,
         count: usize,
         matrix: &Matrix,

@@ -9,7 +9,7 @@
 use std::collections::BTreeMap;
 
 use super::FORMAT;
-use super::archive::{Archive, ObjectHeader, Property, TIME_TOLERANCE, entry};
+use super::archive::{Archive, ObjectHeader, PropertyHeader, TIME_TOLERANCE, entry};
 use super::document::{Pod, Reference};
 use super::mesh::{IDENTITY, Matrix, names};
 use crate::batches::ReadAt;
@@ -44,8 +44,8 @@ struct SceneNode {
     parent: Option<usize>,
     depth: usize,
     /// The properties of its transform; empty for other objects.
-    transform: Vec<Property>,
-    visible: Option<Property>,
+    transform: Vec<PropertyHeader>,
+    visible: Option<PropertyHeader>,
 }
 
 /// An object with points or a mesh.
@@ -54,15 +54,15 @@ pub(super) struct Geometry {
     pub(super) kind: GeometryKind,
     node: usize,
     /// The properties of its schema.
-    pub(super) properties: Vec<Property>,
+    pub(super) properties: Vec<PropertyHeader>,
 }
 
 impl Geometry {
-    pub(super) fn property(&self, name: &str) -> Option<&Property> {
+    pub(super) fn property(&self, name: &str) -> Option<&PropertyHeader> {
         self.properties.iter().find(|property| property.name == name)
     }
 
-    pub(super) fn required(&self, name: &str) -> Result<&Property> {
+    pub(super) fn required(&self, name: &str) -> Result<&PropertyHeader> {
         self.property(name).ok_or_else(|| {
             let what = format!("{} has no property {name}", excerpt(&self.name));
             Error::invalid(FORMAT, Position::File, what)
@@ -191,7 +191,7 @@ impl<'a> Scene<'a> {
     }
 
     /// The properties of the transforms of an object that change, and those that show or hide it.
-    fn changing(&self, geometry: &Geometry) -> impl Iterator<Item = &Property> {
+    fn changing(&self, geometry: &Geometry) -> impl Iterator<Item = &PropertyHeader> {
         let properties = self.chain(geometry).flat_map(|node| node.transform.iter().chain(&node.visible));
         let names = [names::MATRIX, names::INHERITS, names::VISIBLE];
         properties.filter(move |property| property.is_changing() && names.contains(&&*property.name))
@@ -313,7 +313,7 @@ pub(super) fn positions(scene: &Scene, geometry: &Geometry, index: u32) -> Resul
 }
 
 /// Reads the vectors of a sample.
-pub(super) fn vectors(scene: &Scene, property: &Property, index: u32) -> Result<Vec<[f32; 3]>> {
+pub(super) fn vectors(scene: &Scene, property: &PropertyHeader, index: u32) -> Result<Vec<[f32; 3]>> {
     let vectors = scene.archive.elements::<12>(property, (Pod::F32, 3), index)?;
     Ok(vectors.iter().map(vector).collect())
 }
