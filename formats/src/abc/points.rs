@@ -8,6 +8,8 @@
 //! A sample is a time at which an object, its transform or its visibility changes. Its number is the frame if
 //! the times are those of whole frames, at the rate of the shortest step between two of them; else its index.
 
+use std::collections::HashSet;
+
 use super::FORMAT;
 use super::archive::{PropertyHeader, entry};
 use super::mesh::{IDENTITY, Matrix, cofactors, determinant, names, transformed};
@@ -102,6 +104,8 @@ fn read_sample(file: &dyn ReadAt, index: usize, limits: &Limits) -> Result<Parti
     if hidden > 0 {
         notes.push(format!("skipped {hidden} hidden Points"));
     }
+    let mut seen = HashSet::new();
+    notes.retain(|note| seen.insert(note.clone()));
     let mut frame = frame_of_parts(parts, "Points");
     frame.notes.splice(0..0, notes);
     Ok(frame)
@@ -132,7 +136,7 @@ impl PointsReader<'_> {
         }
         if points.property(names::VELOCITIES).is_some() && self.scene.is_moving(points) {
             let name = excerpt(&points.name);
-            self.note(format!("the velocities of {name} do not include the movement of its parents"));
+            self.notes.push(format!("the velocities of {name} do not include the movement of its parents"));
         }
         let params =
             points.property(names::PARAMS).map_or(Ok(Vec::new()), |params| archive.compound(params))?;
@@ -148,12 +152,6 @@ impl PointsReader<'_> {
             )
         };
         Ok(ParticlePart { positions, arrays })
-    }
-
-    fn note(&mut self, note: String) {
-        if !self.notes.contains(&note) {
-            self.notes.push(note);
-        }
     }
 
     /// The values of an attribute in world space; `None` if there are none, and, with a note, if there is one
@@ -179,7 +177,7 @@ impl PointsReader<'_> {
         {
             *widths = vec![width; count];
         } else if is_constant {
-            self.note(format!("skipped `{}`: it has one value for all particles", excerpt(name)));
+            self.notes.push(format!("skipped `{}`: it has one value for all particles", excerpt(name)));
             return Ok(None);
         }
         if let Values::F32(values) = &mut values
@@ -192,7 +190,7 @@ impl PointsReader<'_> {
                     let scale = determinant(matrix).abs().cbrt();
                     values.iter_mut().for_each(|width| *width = narrowed(f64::from(*width) * scale));
                     if (scale - 1.0).abs() > 1e-6 {
-                        self.note("scaled the widths by the transforms of the points".to_owned());
+                        self.notes.push("scaled the widths by the transforms of the points".to_owned());
                     }
                 }
                 _ if property.name == names::VELOCITIES => transform(values, matrix, 0.0),

@@ -134,6 +134,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
 
 /// The row of files with points. Their signature is that of level sets: [`starts_with_points`] identifies them.
 pub(crate) static POINTS: FormatRow = FormatRow {
+    beginnings: &[&MAGIC],
     particles: Some(ParticleReader::needs_reading(read_points)),
     ..FormatRow::new("OpenVDB points", &["vdb"])
 };
@@ -141,6 +142,11 @@ pub(crate) static POINTS: FormatRow = FormatRow {
 /// Whether the first grid of a file has points, judged by the first bytes of the file.
 pub(crate) fn starts_with_points(head: &[u8]) -> bool {
     first_grid_type(head).is_ok_and(|type_name| type_name.starts_with(TYPE_POINTS))
+}
+
+/// Fails if a file ends before the type of its first grid, so that it is not known what the file contains.
+pub(crate) fn check_first_grid(bytes: &[u8]) -> Result<()> {
+    first_grid_type(bytes).map(drop).or_else(|error| if error.is_truncated() { Err(error) } else { Ok(()) })
 }
 
 /// Longer than any descriptor of a grid that this crate writes.

@@ -15,7 +15,7 @@
 //! This work is based on:
 //! the headers of OpenVDB 10, <https://www.openvdb.org>
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use super::read::{GridEntry, entries, tree_cursor};
 use super::read_tree::{TreeBudget, ValueStorage, outline_of_tree};
@@ -60,6 +60,8 @@ pub fn read_points(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         let names = others.iter().take(8).map(|entry| &entry.info.name);
         notes.push(format!("skipped grids that are not points: {}", excerpts(names)));
     }
+    let mut seen = HashSet::new();
+    notes.retain(|note| seen.insert(note.clone()));
     let mut frame = frame_of_parts(parts, "grids of points");
     frame.notes.splice(0..0, notes);
     Ok(frame)
@@ -243,7 +245,7 @@ fn unit_vector(word: u16) -> [f32; 3] {
 struct Descriptor {
     /// The names of the value type and of the codec.
     types: Vec<[String; 2]>,
-    /// A name for each attribute; empty if the file has none.
+    /// A name for each attribute, in the order of `types`; the file has another order.
     names: Vec<String>,
     /// Each group, and its bit among those of all arrays for groups.
     groups: Vec<(String, u64)>,
@@ -268,7 +270,7 @@ impl Descriptor {
             ]);
         }
         let mut names = vec![String::new(); types.len()];
-        for _ in 0..count(cursor, "the number of names")? {
+        for _ in 0..types.len() {
             let name = cursor.string("the name of an attribute")?;
             let index = cursor.u64("the index of an attribute")?;
             match usize::try_from(index).ok().and_then(|index| names.get_mut(index)) {
@@ -380,10 +382,7 @@ impl PointGrid {
                 return Err(Error::unsupported(FORMAT, what));
             }
         };
-        let note = format!("positions are stored relative to their voxels, in {precision}");
-        if !notes.contains(&note) {
-            notes.push(note);
-        }
+        notes.push(format!("positions are stored relative to their voxels, in {precision}"));
         Ok(())
     }
 
