@@ -83,6 +83,9 @@ pub use row::{
 pub use table::{Format, OutputFormat, read_provenance};
 pub use text::{Escaped, escaped, is_unsafe, listed};
 
+use std::borrow::Cow;
+
+use probe::HEAD_BYTES;
 use row::{ParticleReader, ReadParticles};
 
 /// Reads a frame of particles from a file in any supported format, compressed or not.
@@ -108,6 +111,12 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
     }
     if !bytes.is_empty() && integrity::truncated_signature(bytes).is_some() {
         return Err(Error::truncated("", Position::File, "the file ends within its signature"));
+    }
+    if kind == ProbedKind::Format(Format::Vdb) {
+        let head = codec.map_or(bytes.into(), |codec| Cow::Owned(codec.decompress_head(bytes, HEAD_BYTES)));
+        if head.len() < HEAD_BYTES {
+            vdb::check_first_grid(&head)?;
+        }
     }
     let reader = reader_of(kind, codec)?;
     let bytes = compression::decompressed(bytes, limits)?;

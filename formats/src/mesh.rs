@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+use crate::abc;
 use crate::compression::name_without_compression;
 use crate::data::MeshData;
 use crate::error::{Error, Position, Result};
@@ -45,7 +46,7 @@ pub fn read_mesh(
 
 /// Whether a file probably contains a mesh, judged by its first bytes: its format is for meshes only, or it
 /// is PLY or VTK XML and declares faces. In the legacy format of VTK, cells are behind the points, beyond the
-/// first bytes: such a file counts as particles.
+/// first bytes: such a file counts as particles. So does an Alembic archive of another program.
 pub fn looks_like_mesh(head: &[u8], file_name: &str) -> bool {
     let Probe { kind, codec } = probe_mesh(head, file_name);
     let head: Cow<[u8]> =
@@ -53,6 +54,7 @@ pub fn looks_like_mesh(head: &[u8], file_name: &str) -> bool {
     match kind {
         ProbedKind::Format(Format::Ply) => ply::holds_mesh(&head, &Limits::default()).unwrap_or(false),
         ProbedKind::Format(Format::Vtp) => vtk::holds_polys(&head),
+        ProbedKind::Format(Format::Abc) => abc::is_own(&head),
         kind => kind.format().is_some_and(|format| format.has_mesh() && !format.has_particles()),
     }
 }

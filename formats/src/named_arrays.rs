@@ -16,7 +16,7 @@ use std::mem::discriminant;
 
 use crate::columns::{Group, group_columns, position_rank, radius_scale, roles_of, with_role};
 use crate::data::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values};
-use crate::number::{self, interleaved};
+use crate::number::{self, append_any, interleaved};
 use crate::text::excerpt;
 
 /// One or more values per particle, particle by particle.
@@ -67,6 +67,49 @@ pub(crate) fn position_count(arrays: &[(&str, usize, usize)]) -> Option<usize> {
     let columns: Vec<_> = singles.iter().map(|&&(name, ..)| (name, ())).collect();
     let [x, ..] = group_columns(&columns).position?;
     singles.get(x).map(|&&(.., count)| count)
+}
+
+/// A part of a frame, such as one of several objects in a file.
+pub(crate) struct ParticlePart {
+    pub(crate) positions: FilePositions,
+    pub(crate) arrays: Vec<NamedArray>,
+}
+
+/// Joins parts to one frame. Notes name a part by `kind`. Skips arrays that not all parts with particles have
+/// with the same type, with a note.
+pub(crate) fn frame_of_parts(parts: Vec<ParticlePart>, kind: &str) -> ParticleFrame {
+    let count = parts.len();
+    let mut notes = Vec::new();
+    let mut joined: Option<ParticlePart> = None;
+    for mut part in parts {
+        if part.positions.is_empty() {
+            continue;
+        }
+        notes.extend(take_mismatched(&mut part.arrays, part.positions.len()));
+        let Some(ParticlePart { positions, arrays }) = &mut joined else {
+            joined = Some(part);
+            continue;
+        };
+        positions.append(part.positions);
+        let mut has_more = |array: &mut NamedArray| {
+            let same = |more: &mut NamedArray| (&more.name, more.arity) == (&array.name, array.arity);
+            let more = part.arrays.extract_if(.., same).next();
+            more.is_some_and(|more| append_any(&mut array.values, more.values))
+        };
+        let lost = arrays.extract_if(.., |array| !has_more(array)).map(|array| array.name);
+        let mut lost: Vec<String> = lost.collect();
+        lost.extend(part.arrays.into_iter().map(|array| array.name));
+        let note = |name| format!("skipped `{}`: not all {kind} have it with the same type", excerpt(name));
+        notes.extend(lost.into_iter().map(note));
+    }
+    if count > 1 {
+        notes.insert(0, format!("joined the particles of {count} {kind}"));
+    }
+    notes.sort();
+    notes.dedup();
+    let mut frame = joined.and_then(|part| frame_of(Some(part.positions), part.arrays)).unwrap_or_default();
+    frame.notes.splice(0..0, notes);
+    frame
 }
 
 /// Removes arrays whose length does not match the number of particles, and returns a note for each.

@@ -188,6 +188,16 @@ pub(crate) fn components(values: &Values, arity: usize, range: std::ops::Range<u
     })
 }
 
+/// The `arity` components at each index; `None` if one is out of bounds.
+pub(crate) fn gathered(values: &Values, arity: usize, indices: &[u32]) -> Option<Values> {
+    let count = values.len() / arity.max(1);
+    if indices.iter().any(|index| *index as usize >= count) {
+        return None;
+    }
+    let ranges = indices.iter().map(|index| *index as usize * arity..(*index as usize + 1) * arity);
+    Some(map_any_type!(values, values => ranges.flat_map(|range| &values[range]).copied().collect()))
+}
+
 /// A range of the values, which must be in bounds.
 pub(crate) fn slice(values: &Values, range: std::ops::Range<usize>) -> Values {
     map_any_type!(values, values => values[range].to_vec())
@@ -223,6 +233,7 @@ pub(crate) fn interleaved(columns: &[&Values]) -> Option<Values> {
 }
 
 /// Appends values of the same type; returns whether the types matched. String tables must be equal.
+/// [`append_any`] has no such condition.
 pub(crate) fn append(values: &mut Values, more: Values) -> bool {
     match (values, more) {
         (Values::F32(values), Values::F32(more)) => values.extend(more),
@@ -238,6 +249,23 @@ pub(crate) fn append(values: &mut Values, more: Values) -> bool {
         _ => return false,
     }
     true
+}
+
+/// Appends values of the same type, and strings with any table; returns whether the types matched.
+pub(crate) fn append_any(values: &mut Values, more: Values) -> bool {
+    if let (Values::Strings { table, indices }, Values::Strings { table: other, indices: more }) =
+        (&mut *values, &more)
+    {
+        let (first, end) = (table.len(), other.len());
+        let moved = |index: &i32| {
+            let index = usize::try_from(*index).ok().filter(|index| *index < end);
+            index.and_then(|index| i32::try_from(first + index).ok()).unwrap_or(-1)
+        };
+        indices.extend(more.iter().map(moved));
+        table.extend_from_slice(other);
+        return true;
+    }
+    append(values, more)
 }
 
 // Writes numbers as little-endian bytes, in chunks that fit into the cache.

@@ -9,12 +9,14 @@ use std::borrow::Cow;
 use std::fmt;
 use std::ops::Range;
 
+use crate::abc;
 use crate::compression::{Codec, name_without_compression};
 use crate::csv;
 use crate::json;
 use crate::neighbor::Neighbor;
 use crate::table::Format;
 use crate::text::{Lines, parse_number};
+use crate::vdb;
 use crate::vtk;
 use crate::xdmf::looks_like_xdmf;
 use crate::xyz_ext::looks_like_atoms;
@@ -112,6 +114,8 @@ pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
     let looks: fn(&[u8]) -> bool = match probe(head, file_name).kind {
         ProbedKind::Format(Format::Delimited) => csv::looks_like_particles,
         ProbedKind::Format(Format::Json) => json::looks_like_particles,
+        // The content of other archives is known only from their end.
+        ProbedKind::Format(Format::Abc) => |head| !abc::is_own(head),
         kind => return kind.format().is_some_and(Format::has_particles),
     };
     match Codec::of(head) {
@@ -124,9 +128,14 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
     if head.is_empty() {
         return ProbedKind::Empty;
     }
+    if name.ends_with(".abc") && head.starts_with(abc::HDF5) {
+        return ProbedKind::Format(Format::Abc);
+    }
     let has_signature = |format: &Format| format.row().signatures.iter().any(|bytes| head.starts_with(bytes));
-    if let Some(format) = Format::ALL.into_iter().find(has_signature) {
-        return ProbedKind::Format(format);
+    match Format::ALL.into_iter().find(has_signature) {
+        Some(Format::Vdb) if vdb::starts_with_points(head) => return ProbedKind::Format(Format::VdbPoints),
+        Some(format) => return ProbedKind::Format(format),
+        None => {}
     }
     if let Cow::Owned(text) = csv::decoded(head) {
         return match kind_of(&text, name) {

@@ -127,6 +127,8 @@ formats! {
         RawXyz => crate::xyz::ROW,
         /// One NumPy array.
         Npy => crate::npy::ROW,
+        /// OpenVDB with grids of points.
+        VdbPoints => crate::vdb::POINTS,
         /// Named NumPy arrays in a ZIP archive.
         Npz => crate::npy::ARCHIVE_ROW,
         /// Krakatoa's particles: records with named channels, compressed.

@@ -367,6 +367,18 @@ fn overlapping_grids(count: usize) -> Vec<u8> {
 }
 
 #[test]
+fn damaged_points_of_alembic_do_not_panic() {
+    let _alone = alone();
+    let bytes = include_bytes!("../../tests/fuzz/corpus/abc/points.abc");
+    for index in 0..3 {
+        sweep(&format!("points.{index}.abc"), bytes, |bytes| {
+            abc::read_points(bytes, index, &Limits::default())
+        });
+    }
+    sweep("points.abc", bytes, |bytes| read_particles(bytes, "points.abc", &Limits::default()));
+}
+
+#[test]
 fn damaged_meshes_do_not_panic() {
     let _alone = alone();
     let positions = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];

@@ -73,11 +73,12 @@ pub(crate) const TARGETS: &[Target] = &[
     compressed("vtp_mesh", |bytes| drop(vtk::read_mesh(bytes, &limits()))),
     compressed("vdb_level_set", |bytes| drop(vdb::read_level_set(bytes, None, &limits()))),
     compressed("vdb_grids", vdb_grids),
+    compressed("vdb_points", |bytes| checked(vdb::read_points(bytes, &limits()))),
     plain("gltf", gltf_parts),
     plain("gltf_frame", gltf_frame),
     plain("usda_head", |bytes| drop((usda::read_layer_info(bytes), usda::read_sampled_properties(bytes)))),
     compressed("usdc", usdc_frames),
-    plain("abc", alembic),
+    compressed("abc", alembic),
     plain("stl", |bytes| drop(stl::read_mesh(bytes, &limits()))),
     plain("obj", |bytes| drop(obj::read_mesh(bytes))),
     Target { name: "png", content: Content::Picture, run: |bytes| drop(png::read(bytes)) },
@@ -211,12 +212,14 @@ fn gltf_parts(bytes: &[u8]) {
     let _ = gltf::read_camera(bytes);
 }
 
-/// Reads the first two meshes of an archive, and the information that needs no mesh.
+/// Reads the first two meshes and frames of particles of an archive, and the information that needs no mesh.
 fn alembic(bytes: &[u8]) {
     let _ = (abc::read_mesh(bytes, &limits()), abc::read_times(bytes));
     let _ = abc::read_sequence_info(&mut Cursor::new(bytes));
     let _ = (abc::read_sample(bytes, 0, &limits()), abc::read_sample(bytes, 1, &limits()));
     let _ = abc::to_glb(bytes, &limits());
+    checked(abc::read_points(bytes, 0, &limits()));
+    checked(abc::read_points(bytes, 1, &limits()));
 }
 
 /// Reads a frame of a sequence. For the .usda, the .usdc and the .abc, its columns and triangles are read;

@@ -16,6 +16,7 @@ use super::FORMAT;
 use crate::data::Provenance;
 use crate::digest::{DIGEST_BYTES, Hasher, SampleKey};
 use crate::error::{Error, Position, Result};
+use crate::number::NumberType;
 use crate::provenance::{GENERATOR, escape, prefixed};
 
 /// The version of Alembic's layout of archives in the container.
@@ -45,6 +46,22 @@ pub(super) enum Pod {
     F64 = 11,
     String = 12,
 }
+
+/// The types of numbers, by Alembic's codes.
+pub(super) const NUMBER_TYPES: [NumberType; 12] = [
+    NumberType::Bool,
+    NumberType::U8,
+    NumberType::I8,
+    NumberType::U16,
+    NumberType::I16,
+    NumberType::U32,
+    NumberType::I32,
+    NumberType::U64,
+    NumberType::I64,
+    NumberType::F16,
+    NumberType::F32,
+    NumberType::F64,
+];
 
 /// Bits of a property header.
 pub(super) mod bits {
@@ -136,7 +153,7 @@ enum PropertyContent {
         is_array: bool,
         pod: Pod,
         extent: u8,
-        samples: Vec<Sample>,
+        samples: Vec<StoredSample>,
     },
 }
 
@@ -153,7 +170,7 @@ impl AbcProperty {
         name: &str,
         metadata: &str,
         (pod, extent): (Pod, u8),
-        samples: Vec<Sample>,
+        samples: Vec<StoredSample>,
     ) -> AbcProperty {
         AbcProperty::new(name, metadata, PropertyContent::Values { is_array: false, pod, extent, samples })
     }
@@ -162,7 +179,7 @@ impl AbcProperty {
         name: &str,
         metadata: &str,
         (pod, extent): (Pod, u8),
-        samples: Vec<Sample>,
+        samples: Vec<StoredSample>,
     ) -> AbcProperty {
         AbcProperty::new(name, metadata, PropertyContent::Values { is_array: true, pod, extent, samples })
     }
@@ -352,7 +369,7 @@ pub(super) const EMPTY_GROUP: Reference = 0;
 
 /// A stored sample of a property.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Sample {
+pub(super) struct StoredSample {
     pub(super) data: Reference,
     /// The data with the dimensions; empty data if the dimensions follow from the number of bytes.
     pub(super) dimensions: Reference,
@@ -429,8 +446,9 @@ impl Ogawa<'_> {
     ///
     /// # Errors
     /// Those of `emit` and the output; [`Error::Invalid`] if `emit` writes another number of bytes.
-    pub(super) fn sample(&mut self, elements: u64, byte_count: u64, emit: &mut Emit) -> Result<Sample> {
-        let mut sample = Sample { data: DATA, dimensions: DATA, digest: SampleKey::default(), elements };
+    pub(super) fn sample(&mut self, elements: u64, byte_count: u64, emit: &mut Emit) -> Result<StoredSample> {
+        let mut sample =
+            StoredSample { data: DATA, dimensions: DATA, digest: SampleKey::default(), elements };
         if byte_count == 0 {
             return Ok(sample);
         }
@@ -455,7 +473,7 @@ impl Ogawa<'_> {
     }
 
     /// Writes a sample of these bytes.
-    pub(super) fn small_sample(&mut self, elements: u64, bytes: &[u8]) -> Result<Sample> {
+    pub(super) fn small_sample(&mut self, elements: u64, bytes: &[u8]) -> Result<StoredSample> {
         self.sample(elements, bytes.len() as u64, &mut |out| Ok(out.write_all(bytes)?))
     }
 

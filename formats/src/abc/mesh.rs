@@ -11,7 +11,7 @@
 
 use std::io::Write;
 
-use super::document::{AbcObject, AbcProperty, Ogawa, Pod, Sample};
+use super::document::{AbcObject, AbcProperty, Ogawa, Pod, StoredSample};
 use crate::error::Result;
 use crate::number::{write_f32s, write_pieces};
 use crate::options::UpAxis;
@@ -38,7 +38,35 @@ pub(super) fn to_world(up: UpAxis, [x, y, z]: [f64; 3]) -> Matrix {
     }
 }
 
-/// The names of properties that both the writer and the reader use.
+/// A row vector times a matrix. The fourth component is 1 for a point and 0 for a direction.
+pub(super) fn transformed(vector: [f64; 3], matrix: &Matrix, fourth: f64) -> [f64; 3] {
+    if *matrix == IDENTITY {
+        return vector;
+    }
+    let [x, y, z] = vector;
+    std::array::from_fn(|axis| {
+        let column = [0, 1, 2, 3].map(|row| matrix[row][axis]);
+        x * column[0] + y * column[1] + z * column[2] + fourth * column[3]
+    })
+}
+
+/// The determinant of the part of a matrix without translation.
+pub(super) fn determinant(matrix: &Matrix) -> f64 {
+    let cofactors = cofactors(matrix);
+    (0..3).map(|axis| matrix[0][axis] * cofactors[0][axis]).sum()
+}
+
+/// The matrix that transforms normals: the inverse, transposed, times the determinant.
+pub(super) fn cofactors(matrix: &Matrix) -> Matrix {
+    let mut cofactors = IDENTITY;
+    for (row, column) in (0..9).map(|n| (n / 3, n % 3)) {
+        let [r, s, c, d] = [(row + 1) % 3, (row + 2) % 3, (column + 1) % 3, (column + 2) % 3];
+        cofactors[row][column] = matrix[r][c] * matrix[s][d] - matrix[r][d] * matrix[s][c];
+    }
+    cofactors
+}
+
+/// The names of properties.
 pub(super) mod names {
     pub(crate) const GEOMETRY: &str = ".geom";
     pub(crate) const POSITIONS: &str = "P";
@@ -46,9 +74,14 @@ pub(super) mod names {
     pub(crate) const COUNTS: &str = ".faceCounts";
     pub(crate) const NORMALS: &str = "N";
     pub(crate) const VELOCITIES: &str = ".velocities";
+    pub(crate) const IDS: &str = ".pointIds";
+    pub(crate) const WIDTHS: &str = ".widths";
     pub(crate) const PARAMS: &str = ".arbGeomParams";
     pub(crate) const TRANSFORM: &str = ".xform";
+    pub(crate) const OPERATIONS: &str = ".ops";
     pub(crate) const MATRIX: &str = ".vals";
+    pub(crate) const INHERITS: &str = ".inherits";
+    pub(crate) const VISIBLE: &str = "visible";
 }
 
 /// The type of the values of an attribute.
@@ -109,7 +142,7 @@ impl ParamType {
     }
 
     /// An attribute with these samples.
-    pub(super) fn property(&self, name: &str, samples: Vec<Sample>) -> AbcProperty {
+    pub(super) fn property(&self, name: &str, samples: Vec<StoredSample>) -> AbcProperty {
         AbcProperty::array(name, &self.metadata(), (self.pod, self.extent), samples)
     }
 }
@@ -117,24 +150,24 @@ impl ParamType {
 /// The samples of a mesh at one time.
 #[derive(Clone, Copy)]
 pub(super) struct FrameSamples {
-    pub(super) bounds: Sample,
-    pub(super) positions: Sample,
+    pub(super) bounds: StoredSample,
+    pub(super) positions: StoredSample,
     /// The vertex indices at the faces' corners, and the number of corners of each face.
-    pub(super) faces: [Sample; 2],
-    pub(super) normals: Sample,
-    pub(super) velocities: Option<Sample>,
+    pub(super) faces: [StoredSample; 2],
+    pub(super) normals: StoredSample,
+    pub(super) velocities: Option<StoredSample>,
 }
 
 /// The transform of a mesh, and its samples, one for each time.
 pub(super) struct MeshSamples {
     matrix: Matrix,
-    bounds: Vec<Sample>,
-    positions: Vec<Sample>,
-    corners: Vec<Sample>,
-    counts: Vec<Sample>,
-    normals: Vec<Sample>,
+    bounds: Vec<StoredSample>,
+    positions: Vec<StoredSample>,
+    corners: Vec<StoredSample>,
+    counts: Vec<StoredSample>,
+    normals: Vec<StoredSample>,
     /// Empty without velocities.
-    velocities: Vec<Sample>,
+    velocities: Vec<StoredSample>,
 }
 
 impl MeshSamples {
@@ -203,11 +236,11 @@ const MATRIX_OPERATION: u8 = 0x30;
 /// The properties of a transform that is the same at all times. The identity has no matrix.
 fn transform_properties(matrix: &Matrix, ogawa: &mut Ogawa) -> Result<Vec<AbcProperty>> {
     let yes = ogawa.small_sample(1, &[1])?;
-    let mut properties = vec![AbcProperty::scalar(".inherits", "", (Pod::Bool, 1), vec![yes])];
+    let mut properties = vec![AbcProperty::scalar(names::INHERITS, "", (Pod::Bool, 1), vec![yes])];
     if *matrix != IDENTITY {
         let operation = ogawa.small_sample(1, &[MATRIX_OPERATION])?;
         let matrix = ogawa.small_sample(1, &real_bytes(matrix.as_flattened()))?;
-        properties.push(AbcProperty::scalar(".ops", "", (Pod::U8, 1), vec![operation]));
+        properties.push(AbcProperty::scalar(names::OPERATIONS, "", (Pod::U8, 1), vec![operation]));
         properties.push(AbcProperty::scalar(names::MATRIX, "", (Pod::F64, 16), vec![matrix]));
         properties.push(AbcProperty::scalar("isNotConstantIdentity", "", (Pod::Bool, 1), vec![yes]));
     }
@@ -227,7 +260,7 @@ pub(super) fn bounds(positions: &[[f32; 3]]) -> [[f64; 3]; 2] {
 }
 
 /// Writes the sample of a bounding box.
-pub(super) fn bounds_sample(bounds: [[f64; 3]; 2], ogawa: &mut Ogawa) -> Result<Sample> {
+pub(super) fn bounds_sample(bounds: [[f64; 3]; 2], ogawa: &mut Ogawa) -> Result<StoredSample> {
     ogawa.small_sample(1, &real_bytes(bounds.as_flattened()))
 }
 
@@ -236,13 +269,21 @@ fn real_bytes(numbers: &[f64]) -> Vec<u8> {
 }
 
 /// Writes vectors or single numbers as a sample: `count` elements, each of `extent` numbers.
-pub(super) fn real_sample(values: &[f32], (count, extent): (u64, u64), ogawa: &mut Ogawa) -> Result<Sample> {
+pub(super) fn real_sample(
+    values: &[f32],
+    (count, extent): (u64, u64),
+    ogawa: &mut Ogawa,
+) -> Result<StoredSample> {
     let byte_count = 4 * count * extent;
     ogawa.sample(count, byte_count, &mut |out| write_f32s(values, out))
 }
 
 /// Writes the vertex indices of triangles, in Alembic's order, and the number of corners of each.
-pub(super) fn triangle_samples(triangles: &[[u32; 3]], count: u64, ogawa: &mut Ogawa) -> Result<[Sample; 2]> {
+pub(super) fn triangle_samples(
+    triangles: &[[u32; 3]],
+    count: u64,
+    ogawa: &mut Ogawa,
+) -> Result<[StoredSample; 2]> {
     let corners = ogawa.sample(3 * count, 12 * count, &mut |out| {
         let reversed = |[a, b, c]: [u32; 3]| {
             let mut bytes = [0; 12];

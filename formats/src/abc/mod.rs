@@ -1,4 +1,4 @@
-//! Alembic, `.abc`: writes meshes of one frame or of a sequence, and reads the files that this crate wrote.
+//! Alembic, `.abc`: writes meshes of one frame or of a sequence; reads Points as particles, and meshes.
 //!
 //! ```text
 //!   archive ── surface: Xform ── surfaceShape: PolyMesh
@@ -6,19 +6,25 @@
 //! ```
 //!
 //! The Alembic library defines the format. It stores an archive in a container called Ogawa; the older
-//! container, HDF5, is not supported. The number of vertices and faces of a mesh may change from sample to
+//! container, HDF5, is only recognised. The number of vertices and faces of a mesh may change from sample to
 //! sample. Programs compute the motion blur of such a mesh from its velocities, in units per second.
 
+mod archive;
 mod document;
 mod mesh;
+mod points;
 mod read;
+mod scene;
+#[cfg(test)]
+mod tests;
 
 use std::borrow::Cow;
 use std::io::{self, Read, Seek, Write};
 
-pub use read::{read_mesh, read_sample, read_sequence_info, read_times};
+pub(crate) use archive::HDF5;
+pub use points::read_points;
+pub use read::{read_mesh, read_mesh_at, read_mesh_times, read_sample, read_sequence_info, read_times};
 
-use crate::bytes::Endian;
 use crate::columns::role_of;
 use crate::data::{
     AttributeRole, FileAttribute, MeshView, Provenance, Values, VertexAttribute, VertexValues,
@@ -29,19 +35,20 @@ use crate::gltf::{
     shared_attributes,
 };
 use crate::limits::Limits;
-use crate::number::{NumberType, write_pieces};
+use crate::number::write_pieces;
 use crate::options::{MeshOptions, UpAxis, WriteOption};
-use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
+use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleReader};
 use crate::sequence::{check_numbers, held_times};
 use crate::vertex_attributes::{
     Purpose, UsedNames, check_quads, faces, plain_name, purposes, quad_count, string_index,
 };
-use document::{AbcObject, AbcProperty, DATA, MAGIC, Ogawa, Pod, Reference, Sample, Times, write_archive};
+use document::{AbcObject, AbcProperty, MAGIC, Ogawa, Pod, StoredSample, Times, write_archive};
 use mesh::{
     FrameSamples, Matrix, MeshSamples, ParamType, bounds, bounds_sample, names, real_sample, to_world,
     triangle_samples,
 };
-use read::{MeshArchive, bytes_declared, read_provenance};
+use read::{SampledMesh, bytes_declared, check_single_frame, own_head, own_mesh, read_provenance};
+use scene::{Geometry, Scene};
 
 /// The format's name in errors.
 const FORMAT: &str = "Alembic";
@@ -50,6 +57,7 @@ const FORMAT: &str = "Alembic";
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow {
         signatures: &[&document::MAGIC],
+        particles: Some(ParticleReader::container(points::READER)),
         read_mesh: Some(|bytes, limits, _| read_mesh(bytes, limits)),
         ..FormatRow::new(FORMAT, &["abc"])
     },
@@ -229,7 +237,7 @@ fn polygon_samples(
     quads: &[bool],
     quad_count: usize,
     ogawa: &mut Ogawa,
-) -> Result<[Sample; 2]> {
+) -> Result<[StoredSample; 2]> {
     let (triangle_count, quad_count) = (triangles.len() as u64, quad_count as u64);
     // A quad has four corners instead of the six of its two triangles.
     let (face_count, corner_count) = (triangle_count - quad_count, 3 * triangle_count - 2 * quad_count);
@@ -333,7 +341,7 @@ impl AbcSequence<'_> {
     ) -> Result<AbcObject> {
         let SequencePlacement { up, origin } = self.placement;
         let mut samples = MeshSamples::at(to_world(up, origin));
-        let mut params: Vec<Vec<Sample>> = vec![Vec::new(); self.attributes.len()];
+        let mut params: Vec<Vec<StoredSample>> = vec![Vec::new(); self.attributes.len()];
         for index in 0..self.frames.len() {
             let (frame, values) = self.frame(index, open, ogawa)?;
             for _ in self.times_of(index) {
@@ -353,7 +361,7 @@ impl AbcSequence<'_> {
         index: usize,
         open: &impl Fn(usize) -> io::Result<R>,
         ogawa: &mut Ogawa,
-    ) -> Result<(FrameSamples, Vec<Sample>)> {
+    ) -> Result<(FrameSamples, Vec<StoredSample>)> {
         let file = &self.frames[index].file;
         let shift = self.placement.shift(file)?;
         let (vertices, triangles) = (file.vertex_count() as u64, file.triangle_count()? as u64);
@@ -437,28 +445,39 @@ pub fn is_archive(head: &[u8]) -> bool {
 pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
     let bytes = bytes.into();
     let byte_count = bytes.len();
-    let archive = MeshArchive::open(&bytes)?;
-    archive.check_single_frame()?;
-    let [positions, normals] = archive.vertices(0, limits)?;
-    let triangles = archive.triangles(0, positions.len())?;
-    let (up, origin) = placement(&archive.matrix(0)?)?;
-    let attributes = frame_attributes(&archive, positions.len(), limits)?;
-    let provenance = archive.provenance;
+    let source = &*bytes;
+    let scene = Scene::open(&source, limits)?;
+    let mesh = own_mesh(&scene)?;
+    check_single_frame(&scene, limits)?;
+    let SampledMesh { positions, normals, triangles } = SampledMesh::read(&scene, mesh, None)?;
+    limits.check_particles(FORMAT, positions.len() as u64)?;
+    if normals.len() != positions.len() {
+        return Err(Error::invalid(FORMAT, Position::File, NOT_OURS));
+    }
+    let (up, origin) = placement(&scene.world(mesh, None)?)?;
+    let attributes = frame_attributes(&scene, mesh, positions.len())?;
+    let provenance = own_head(&bytes).unwrap_or_default();
+    drop(scene);
     drop(bytes);
     let [positions, normals] = [positions, normals].map(Vec::into_flattened);
     PlacedMesh { positions, normals, triangles, origin, attributes }.to_glb(up, &provenance, byte_count)
 }
 
-/// Reads the vertex attributes of an archive with one frame, except normals, under their own names.
+/// Reads the vertex attributes of an archive of this crate with one frame, except normals, under their own
+/// names. Returns none for archives of other programs.
 ///
 /// # Errors
 ///
 /// Those of [`read_mesh`].
 pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribute>> {
-    let archive = MeshArchive::open(bytes)?;
-    archive.check_single_frame()?;
-    let vertices = archive.vertices(0, limits)?[0].len();
-    let attributes = frame_attributes(&archive, vertices, limits)?;
+    if own_head(bytes).is_none() {
+        return Ok(Vec::new());
+    }
+    let scene = Scene::open(&bytes, limits)?;
+    let mesh = own_mesh(&scene)?;
+    check_single_frame(&scene, limits)?;
+    let vertices = scene::positions(&scene, mesh, 0)?.len();
+    let attributes = frame_attributes(&scene, mesh, vertices)?;
     match attributes.iter().find(|attribute| attribute.values.len() != vertices * attribute.arity) {
         None => Ok(attributes),
         Some(FileAttribute { name, values, .. }) => {
@@ -466,6 +485,11 @@ pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribut
             Err(Error::invalid(FORMAT, Position::File, what))
         }
     }
+}
+
+/// Whether a file that starts with these bytes is an archive of this crate, which has a mesh.
+pub(crate) fn is_own(head: &[u8]) -> bool {
+    is_archive(head) && own_head(head).is_some()
 }
 
 const NOT_OURS: &str =
@@ -483,89 +507,40 @@ fn placement(matrix: &Matrix) -> Result<(UpAxis, [f64; 3])> {
 }
 
 /// The attributes of the vertices. Their arity is rounded up: the caller refuses lengths that do not match.
-fn frame_attributes(
-    archive: &MeshArchive,
-    vertex_count: usize,
-    limits: &Limits,
-) -> Result<Vec<FileAttribute>> {
+fn frame_attributes(scene: &Scene, mesh: &Geometry, vertex_count: usize) -> Result<Vec<FileAttribute>> {
     let mut attributes = Vec::new();
     let mut push = |name: String, role, values: Values| {
         let arity = values.len().div_ceil(vertex_count.max(1)).max(1);
         attributes.push(FileAttribute { name, arity, role, values });
     };
-    if archive.has(names::VELOCITIES) {
-        let values = archive.array::<4>(names::VELOCITIES, (Pod::F32, 3), 0)?;
-        let values = values.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+    if let Some(velocities) = mesh.property(names::VELOCITIES) {
+        let values = scene::vectors(scene, velocities, 0)?.into_flattened();
         push(read::VELOCITY.to_owned(), Some(AttributeRole::Velocity), Values::F32(values));
     }
-    let mut byte_count = 0;
-    for (header, reference) in &archive.params()? {
-        let values = match header.pod() {
-            None => frame_strings(archive, *reference, limits)?,
-            Some(pod) => numbers(archive, &header.name, pod, *reference)?,
+    let params = mesh.property(names::PARAMS).map(|params| scene.archive.compound(params)).transpose()?;
+    for property in params.unwrap_or_default() {
+        let values = match scene.archive.param(&property, None)?.values {
+            Values::I32(values) => Values::I64(values.into_iter().map(i64::from).collect()),
+            // The last string of the file marks missing values.
+            Values::Strings { mut table, mut indices } => {
+                table.pop();
+                let missing = i32::try_from(table.len()).unwrap_or(i32::MAX);
+                indices.iter_mut().filter(|index| **index >= missing).for_each(|index| *index = -1);
+                Values::Strings { table, indices }
+            }
+            values @ (Values::F32(_) | Values::I64(_)) => values,
+            _ => return Err(Error::invalid(FORMAT, Position::File, NOT_OURS)),
         };
-        // A lower bound of the size of the values in the file.
-        byte_count += 4 * values.len();
-        if let Values::Strings { table, .. } = &values {
-            byte_count += table.iter().map(|text| text.len() + 1).sum::<usize>();
-        }
-        if byte_count > archive.container.bytes.len() {
-            return Err(Error::invalid(FORMAT, Position::Offset(*reference), NOT_OURS));
-        }
-        let is_color = header.metadata.contains(";interpretation=rgb");
-        let role = match header.check_type((Pod::F32, 3)) {
+        let is_color = property.metadata.contains(";interpretation=rgb");
+        let role = match (property.pod(), property.extent()) {
             _ if is_color => Some(AttributeRole::Color),
             // The archive does not record this role, but the name has it.
-            Ok(()) => role_of(&header.name, 3).filter(|role| *role == AttributeRole::Acceleration),
-            Err(_) => None,
+            (Some(pod), 3) if pod == Pod::F32 as u32 => {
+                role_of(&property.name, 3).filter(|role| *role == AttributeRole::Acceleration)
+            }
+            _ => None,
         };
-        push(header.name.clone(), role, values);
+        push(property.name, role, values);
     }
     Ok(attributes)
-}
-
-fn numbers(archive: &MeshArchive, name: &str, pod: u32, reference: Reference) -> Result<Values> {
-    let samples = archive.container.group(reference, name)?;
-    let sample = samples.first().copied().unwrap_or(DATA);
-    let (bytes, at) = archive.container.sample(sample, name)?;
-    let words = bytes.as_chunks::<4>().0.iter();
-    match pod {
-        pod if pod == Pod::F32 as u32 => {
-            Ok(Values::F32(words.map(|bytes| f32::from_le_bytes(*bytes)).collect()))
-        }
-        pod if pod == Pod::I32 as u32 => {
-            Ok(Values::I64(words.map(|bytes| i32::from_le_bytes(*bytes).into()).collect()))
-        }
-        pod if pod == Pod::I64 as u32 => Ok(NumberType::I64.decode(bytes, Endian::Little)),
-        _ => Err(Error::invalid(FORMAT, Position::Offset(at), NOT_OURS)),
-    }
-}
-
-/// The table of strings, and the index of each value. The last string of the file marks missing values: it is
-/// removed, and its index becomes −1.
-fn frame_strings(archive: &MeshArchive, compound: Reference, limits: &Limits) -> Result<Values> {
-    let properties = archive.container.properties(compound)?;
-    let bytes = |name: &str| -> Result<&[u8]> {
-        let found = properties.iter().find(|(header, _)| header.name == name);
-        let (_, reference) = found.ok_or_else(|| {
-            Error::invalid(FORMAT, Position::Offset(compound), format!("an attribute has no {name}"))
-        })?;
-        let samples = archive.container.group(*reference, name)?;
-        let sample = samples.first().copied().unwrap_or(DATA);
-        Ok(archive.container.sample(sample, name)?.0)
-    };
-    let text = bytes(".vals")?;
-    // A string takes more memory than in the file, where an empty one is a single byte.
-    let count = text.iter().filter(|byte| **byte == 0).count() + 1;
-    let needed = (count * size_of::<String>()).saturating_add(text.len());
-    limits.check_decompressed(FORMAT, needed as u64, archive.container.bytes.len() as u64)?;
-    let text = String::from_utf8_lossy(text);
-    let mut table: Vec<String> = text.split_terminator('\0').map(str::to_owned).collect();
-    table.pop();
-    let index = |bytes: &[u8; 4]| {
-        let index = u32::from_le_bytes(*bytes);
-        i32::try_from(index).ok().filter(|index| (*index as usize) < table.len()).unwrap_or(-1)
-    };
-    let indices = bytes(".indices")?.as_chunks::<4>().0.iter().map(index).collect();
-    Ok(Values::Strings { table, indices })
 }

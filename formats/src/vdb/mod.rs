@@ -1,4 +1,5 @@
-//! OpenVDB files: writes level sets and attributes of their voxels; reads grids of floats and of vectors.
+//! OpenVDB files: writes level sets and attributes of their voxels; reads grids of floats, of vectors and of
+//! points.
 //!
 //! ```text
 //!   header      magic, version 224, UUID, metadata of the file, number of grids
@@ -22,6 +23,7 @@
 //! the file format of OpenVDB 10, <https://www.openvdb.org>
 
 mod flood;
+mod points;
 mod read;
 mod read_tree;
 mod tree;
@@ -30,6 +32,7 @@ mod write;
 use std::fmt;
 use std::str::FromStr;
 
+pub use points::read_points;
 pub use read::{
     GridInfo, LevelSetOutline, grids, has_velocity, level_set_outline, read_level_set, read_vectors,
 };
@@ -40,8 +43,8 @@ use crate::bytes::Cursor;
 use crate::error::{Error, Result};
 use crate::options::WriteOption;
 use crate::provenance::from_strings;
-use crate::row::{Content, FormatRow, Integrity, OutputRow};
-use read::{cursor_of, first_grid_metadata, last_grid_end};
+use crate::row::{Content, FormatRow, Integrity, OutputRow, ParticleReader};
+use read::{cursor_of, first_grid_metadata, first_grid_type, last_grid_end};
 
 /// The format's name in errors.
 const FORMAT: &str = "OpenVDB";
@@ -128,6 +131,23 @@ pub(crate) static ROW: OutputRow = OutputRow {
     },
     integrity: Integrity::Length(|head, read| last_grid_end(head, |start| read(start, DESCRIPTOR_BYTES_MAX))),
 };
+
+/// The row of files with points. Their signature is that of level sets: [`starts_with_points`] identifies them.
+pub(crate) static POINTS: FormatRow = FormatRow {
+    beginnings: &[&MAGIC],
+    particles: Some(ParticleReader::needs_reading(read_points)),
+    ..FormatRow::new("OpenVDB points", &["vdb"])
+};
+
+/// Whether the first grid of a file has points, judged by the first bytes of the file.
+pub(crate) fn starts_with_points(head: &[u8]) -> bool {
+    first_grid_type(head).is_ok_and(|type_name| type_name.starts_with(TYPE_POINTS))
+}
+
+/// Fails if a file ends before the type of its first grid, so that it is not known what the file contains.
+pub(crate) fn check_first_grid(bytes: &[u8]) -> Result<()> {
+    first_grid_type(bytes).map(drop).or_else(|error| if error.is_truncated() { Err(error) } else { Ok(()) })
+}
 
 /// Longer than any descriptor of a grid that this crate writes.
 const DESCRIPTOR_BYTES_MAX: u64 = 64 << 10;
@@ -279,6 +299,7 @@ const UUID_BYTES: usize = 36;
 
 const TYPE_FLOAT: &str = "Tree_float_5_4_3";
 const TYPE_VEC3S: &str = "Tree_vec3s_5_4_3";
+const TYPE_POINTS: &str = "Tree_ptdataidx32_5_4_3";
 /// The name of a grid of velocities, by which programs find it.
 const VELOCITY: &str = "velocity";
 const HALF_SUFFIX: &str = "_HalfFloat";

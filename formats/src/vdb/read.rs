@@ -163,7 +163,7 @@ fn read_grid<V: VoxelValue>(
 }
 
 /// A cursor at the start of a grid's tree, the storage of its values, and its transform.
-fn tree_cursor<'a>(
+pub(super) fn tree_cursor<'a>(
     bytes: &'a [u8],
     entries: &[GridEntry],
     entry: &GridEntry,
@@ -194,6 +194,13 @@ pub(crate) fn first_grid_metadata(head: &[u8]) -> Result<Vec<(String, MetaValue)
     }
     cursor.u32("the compression of a grid")?;
     read_metadata(&mut cursor)
+}
+
+/// The type of the tree of a file's first grid, from the first bytes of the file.
+pub(super) fn first_grid_type(head: &[u8]) -> Result<String> {
+    let mut cursor = cursor_of(head);
+    read_header(&mut cursor)?;
+    Ok(read_descriptor(&mut cursor)?.type_name)
 }
 
 /// Whether a file of this crate has a grid of velocities. Reads only the names of the grids.
@@ -256,8 +263,8 @@ struct TreeLocation {
     storage: ValueStorage,
 }
 
-struct GridEntry {
-    info: GridInfo,
+pub(super) struct GridEntry {
+    pub(super) info: GridInfo,
     /// The name in the descriptor, which instances refer to.
     descriptor_name: String,
     /// The unique name of the grid whose tree this one shares, or empty.
@@ -275,7 +282,7 @@ impl GridEntry {
     }
 }
 
-fn entries(bytes: &[u8], limits: &Limits) -> Result<Vec<GridEntry>> {
+pub(super) fn entries(bytes: &[u8], limits: &Limits) -> Result<Vec<GridEntry>> {
     let mut cursor = cursor_of(bytes);
     let header = read_header(&mut cursor)?;
     let mut entries = Vec::new();
@@ -306,11 +313,11 @@ fn grid_cursor<'a>(after: &Cursor, descriptor: &Descriptor, bytes: &'a [u8]) -> 
     let within = usize::try_from(end).ok().and_then(|end| bytes.get(..end));
     let Some(within) = within.filter(|_| after.at() as u64 <= grid_start && grid_start <= end) else {
         let length = bytes.len();
-        let what = if end > length as u64 {
-            format!("the file is truncated: a grid ends at byte {end}, but the file at {length}")
-        } else {
-            format!("a grid has the invalid range from byte {grid_start} to byte {end} of {length}")
-        };
+        if end > length as u64 {
+            let what = format!("a grid ends at byte {end}, but the file at {length}");
+            return Err(after.truncated(what));
+        }
+        let what = format!("a grid has the invalid range from byte {grid_start} to byte {end} of {length}");
         return Err(after.invalid(what));
     };
     let mut grid = cursor_of(within);

@@ -1,0 +1,216 @@
+//! Reads particles: the Points of an archive, in world space.
+//!
+//! ```text
+//!   .geom   P .pointIds .velocities .widths   positions, id, velocity, width
+//!           .arbGeomParams                    other attributes with a value per point
+//! ```
+//!
+//! A sample is a time at which an object, its transform or its visibility changes. Its number is the frame if
+//! the times are those of whole frames, at the rate of the shortest step between two of them; else its index.
+
+use std::collections::HashSet;
+
+use super::FORMAT;
+use super::archive::{PropertyHeader, entry};
+use super::mesh::{IDENTITY, Matrix, cofactors, determinant, names, transformed};
+use super::scene::{Geometry, GeometryKind, Scene, positions};
+use crate::batches::ReadAt;
+use crate::container::{ContainerFile, ContainerReader, Sample};
+use crate::data::{FilePositions, ParticleFrame, Values};
+use crate::error::{Error, Position, Result};
+use crate::limits::Limits;
+use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
+use crate::text::excerpt;
+
+pub(super) const READER: ContainerReader = ContainerReader::new(samples, read);
+
+/// The largest difference between a time, in frames, and a whole frame.
+const FRAME_TOLERANCE: f64 = 1e-3;
+
+fn samples(file: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>> {
+    let scene = Scene::open(file.file, limits)?;
+    let times = times(&scene, limits)?;
+    let numbers = frame_numbers(&times);
+    let number = |index: usize| match &numbers {
+        Some(numbers) => numbers[index],
+        None => i64::try_from(index).unwrap_or(i64::MAX),
+    };
+    let sample = |index: usize| Sample { number: number(index), time: times.get(index).copied() };
+    Ok((0..times.len().max(1)).map(sample).collect())
+}
+
+/// The times of the samples; empty if there is one sample, without a time.
+fn times(scene: &Scene, limits: &Limits) -> Result<Vec<f64>> {
+    if scene.of_kind(GeometryKind::Points).next().is_none() {
+        return Err(scene.without(GeometryKind::Points));
+    }
+    scene.times(GeometryKind::Points, limits)
+}
+
+/// The frames of these times; `None` unless all are whole frames at a whole number of frames per second, the
+/// inverse of the shortest step.
+pub(super) fn frame_numbers(times: &[f64]) -> Option<Vec<i64>> {
+    let step = times.windows(2).map(|pair| pair[1] - pair[0]).min_by(f64::total_cmp)?;
+    let fps = (1.0 / step).round();
+    #[expect(clippy::cast_possible_truncation, reason = "below 2⁵³")]
+    let number = |time: &f64| {
+        let frame = time * fps;
+        let is_whole = (frame - frame.round()).abs() < FRAME_TOLERANCE && frame.abs() < 1e15;
+        is_whole.then_some(frame.round() as i64)
+    };
+    let numbers: Vec<i64> = times.iter().map(number).collect::<Option<_>>().filter(|_| fps >= 1.0)?;
+    numbers.windows(2).all(|pair| pair[0] < pair[1]).then_some(numbers)
+}
+
+fn read(file: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
+    read_sample(file.file, index, limits)
+}
+
+/// Reads the particles of one sample of an archive in memory, by its index.
+///
+/// # Errors
+///
+/// [`Error::Unsupported`] for archives without Points, and for HDF5; [`Error::Truncated`] or
+/// [`Error::Invalid`], with the position, if the file is truncated or damaged, or has fewer samples;
+/// [`Error::TooLarge`] beyond `limits`.
+pub fn read_points(bytes: &[u8], index: usize, limits: &Limits) -> Result<ParticleFrame> {
+    read_sample(&bytes, index, limits)
+}
+
+fn read_sample(file: &dyn ReadAt, index: usize, limits: &Limits) -> Result<ParticleFrame> {
+    let scene = Scene::open(file, limits)?;
+    let times = times(&scene, limits)?;
+    if index >= times.len().max(1) {
+        let what = format!("the archive has {} samples; expected {}", times.len(), index + 1);
+        return Err(Error::invalid(FORMAT, Position::File, what));
+    }
+    let time = times.get(index).copied();
+    let (mut parts, mut notes, mut hidden, mut count) = (Vec::new(), Vec::new(), 0, 0);
+    let mut reader = PointsReader { scene: &scene, time, limits, notes: &mut notes };
+    for points in scene.of_kind(GeometryKind::Points) {
+        if !scene.is_visible(points, time)? {
+            hidden += 1;
+            continue;
+        }
+        let part = reader.part(points)?;
+        count += part.positions.len() as u64;
+        limits.check_particles(FORMAT, count)?;
+        parts.push(part);
+    }
+    let others = scene.others_than(GeometryKind::Points);
+    if !others.is_empty() {
+        notes.push(format!("skipped objects that are not particles: {others}"));
+    }
+    if hidden > 0 {
+        notes.push(format!("skipped {hidden} hidden Points"));
+    }
+    let mut seen = HashSet::new();
+    notes.retain(|note| seen.insert(note.clone()));
+    let mut frame = frame_of_parts(parts, "Points");
+    frame.notes.splice(0..0, notes);
+    Ok(frame)
+}
+
+/// Reads the Points of an archive at a time.
+struct PointsReader<'a> {
+    scene: &'a Scene<'a>,
+    time: Option<f64>,
+    limits: &'a Limits,
+    notes: &'a mut Vec<String>,
+}
+
+impl PointsReader<'_> {
+    fn part(&mut self, points: &Geometry) -> Result<ParticlePart> {
+        let archive = &self.scene.archive;
+        let matrix = self.scene.world(points, self.time)?;
+        let index = archive.index_at(points.required(names::POSITIONS)?, self.time);
+        let local = positions(self.scene, points, index)?;
+        let count = local.len();
+        let mut arrays = Vec::new();
+        for (property, name) in
+            [(names::IDS, "id"), (names::VELOCITIES, super::read::VELOCITY), (names::WIDTHS, "width")]
+        {
+            if let Some(property) = points.property(property) {
+                arrays.extend(self.array(property, name, count, &matrix)?);
+            }
+        }
+        if points.property(names::VELOCITIES).is_some() && self.scene.is_moving(points) {
+            let name = excerpt(&points.name);
+            self.notes.push(format!("the velocities of {name} do not include the movement of its parents"));
+        }
+        let params =
+            points.property(names::PARAMS).map_or(Ok(Vec::new()), |params| archive.compound(params))?;
+        self.limits.check_attributes(FORMAT, params.len(), "attributes")?;
+        for param in &params {
+            arrays.extend(self.array(param, &param.name, count, &matrix)?);
+        }
+        let positions = if matrix == IDENTITY {
+            FilePositions::F32(local)
+        } else {
+            FilePositions::F64(
+                local.iter().map(|point| transformed(point.map(f64::from), &matrix, 1.0)).collect(),
+            )
+        };
+        Ok(ParticlePart { positions, arrays })
+    }
+
+    /// The values of an attribute in world space; `None` if there are none, and, with a note, if there is one
+    /// for all points.
+    fn array(
+        &mut self,
+        property: &PropertyHeader,
+        name: &str,
+        count: usize,
+        matrix: &Matrix,
+    ) -> Result<Option<NamedArray>> {
+        let is_constant = entry(&property.metadata, "geoScope") == "con";
+        let is_width = property.name == names::WIDTHS;
+        let param = self.scene.archive.param(property, self.time)?;
+        let (mut values, arity) = (param.values, param.arity);
+        if values.len() == 0 && count > 0 {
+            return Ok(None); // the library writes empty arrays for those that it was not given
+        }
+        if let Values::F32(widths) = &mut values
+            && is_width
+            && (is_constant || count > 1)
+            && let [width] = widths[..]
+        {
+            *widths = vec![width; count];
+        } else if is_constant {
+            self.notes.push(format!("skipped `{}`: it has one value for all particles", excerpt(name)));
+            return Ok(None);
+        }
+        if let Values::F32(values) = &mut values
+            && *matrix != IDENTITY
+        {
+            let interpretation = entry(&property.metadata, "interpretation");
+            let is_vector = arity == 3;
+            match interpretation {
+                _ if is_width => {
+                    let scale = determinant(matrix).abs().cbrt();
+                    values.iter_mut().for_each(|width| *width = narrowed(f64::from(*width) * scale));
+                    if (scale - 1.0).abs() > 1e-6 {
+                        self.notes.push("scaled the widths by the transforms of the points".to_owned());
+                    }
+                }
+                _ if property.name == names::VELOCITIES => transform(values, matrix, 0.0),
+                "vector" if is_vector => transform(values, matrix, 0.0),
+                "normal" if is_vector => transform(values, &cofactors(matrix), 0.0),
+                "point" if is_vector => transform(values, matrix, 1.0),
+                _ => {}
+            }
+        }
+        Ok(Some(NamedArray { name: name.to_owned(), arity, values }))
+    }
+}
+
+fn transform(values: &mut [f32], matrix: &Matrix, fourth: f64) {
+    for vector in values.as_chunks_mut::<3>().0 {
+        *vector = transformed(vector.map(f64::from), matrix, fourth).map(narrowed);
+    }
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "attributes have 32 bits")]
+fn narrowed(number: f64) -> f32 {
+    number as f32
+}
