@@ -55,6 +55,31 @@ pub(crate) fn frame_of(
     Some(ParticleFrame { positions, attributes, notes })
 }
 
+/// Joins the particles of several pieces. Skips arrays that are missing in a piece or differ in type, with a note.
+pub(crate) fn joined_frames(
+    pieces: Vec<(FilePositions, Vec<NamedArray>)>,
+    notes: &mut Vec<String>,
+) -> (FilePositions, Vec<NamedArray>) {
+    let mut pieces = pieces.into_iter().filter(|(positions, _)| !positions.is_empty());
+    let (mut positions, mut arrays) = pieces.next().unwrap_or_default();
+    for (more_positions, mut more) in pieces {
+        positions.append(more_positions);
+        arrays.retain_mut(|array| {
+            let same = |other: &NamedArray| other.name == array.name && other.arity == array.arity;
+            let found = more.iter().position(same).map(|index| more.swap_remove(index));
+            let is_kept = found.is_some_and(|found| number::append(&mut array.values, found.values));
+            if !is_kept {
+                notes.push(format!(
+                    "skipped the array `{}`: it is not the same in all pieces",
+                    excerpt(&array.name)
+                ));
+            }
+            is_kept
+        });
+    }
+    (positions, arrays)
+}
+
 /// Removes arrays whose length does not match the number of particles, and returns a note for each.
 fn take_mismatched(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<String> {
     let fits = |array: &NamedArray| {

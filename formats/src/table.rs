@@ -127,6 +127,8 @@ formats! {
         Npy => crate::npy::ROW,
         /// Named NumPy arrays in a ZIP archive.
         Npz => crate::npy::ARCHIVE_ROW,
+        /// USD in a ZIP archive.
+        Usdz => crate::usd::points::PACKAGE_ROW,
     }
 }
 

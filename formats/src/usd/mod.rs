@@ -1,5 +1,6 @@
-//! The content of a mesh in USD, and of a [sequence]: the properties that both the text writer and the binary
-//! writer encode.
+//! USD: what the text form and the binary form have in common. For the writers, the content of a mesh and of a
+//! [sequence]; for the readers, [layers](layer), the [stage](composed) of several, and its [particles](points)
+//! and [meshes](mesh).
 //!
 //! ```text
 //!   def Xform "root"
@@ -8,6 +9,12 @@
 //!           velocities, accelerations, primvars:NAME .., subdivisionScheme, xformOp:translate
 //! ```
 
+pub(crate) mod composed;
+pub(crate) mod layer;
+pub(crate) mod mesh;
+pub(crate) mod package;
+mod place;
+pub(crate) mod points;
 mod sequence;
 
 use crate::data::{MeshView, VertexAttribute, VertexValues};

@@ -23,15 +23,14 @@ use crate::batches::ReadAt;
 use crate::data::{FilePositions, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, frame_of};
+use crate::named_arrays::{NamedArray, frame_of, joined_frames};
 use crate::neighbor::Neighbor;
-use crate::number::{self, append};
+use crate::number;
 use crate::options::WriteOption;
 use crate::provenance::from_strings;
 use crate::row::{
     Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleReader, ParticleWriter,
 };
-use crate::text::excerpt;
 use legacy::size_of_type;
 use write::ends_as_written;
 
@@ -93,28 +92,12 @@ fn positions_of(format: &'static str, values: Values) -> Result<FilePositions> {
     number::positions(values).ok_or_else(no_numbers)
 }
 
-/// Joins all points. Skips arrays that are missing in a piece or differ in type, with a note.
+/// Joins all points.
 fn joined(pieces: Vec<VtkPiece>, mut notes: Vec<String>) -> ParticleFrame {
-    let mut pieces = pieces.into_iter().filter(|piece| !piece.positions.is_empty());
-    let mut all = pieces.next().unwrap_or_default();
-    for piece in pieces {
-        all.positions.append(piece.positions);
-        let mut more = piece.arrays;
-        all.arrays.retain_mut(|array| {
-            let same = |other: &NamedArray| other.name == array.name && other.arity == array.arity;
-            let found = more.iter().position(same).map(|index| more.swap_remove(index));
-            let is_kept = found.is_some_and(|found| append(&mut array.values, found.values));
-            if !is_kept {
-                notes.push(format!(
-                    "skipped the array `{}`: it is not the same in all pieces",
-                    excerpt(&array.name)
-                ));
-            }
-            is_kept
-        });
-    }
+    let pieces = pieces.into_iter().map(|piece| (piece.positions, piece.arrays)).collect();
+    let (positions, arrays) = joined_frames(pieces, &mut notes);
     // `frame_of` always returns a frame if it gets positions.
-    let mut frame = frame_of(Some(all.positions), all.arrays).unwrap_or_default();
+    let mut frame = frame_of(Some(positions), arrays).unwrap_or_default();
     frame.notes.append(&mut notes);
     frame
 }
