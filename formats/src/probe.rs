@@ -13,6 +13,7 @@ use crate::compression::{Codec, name_without_compression};
 use crate::csv;
 use crate::table::Format;
 use crate::text::{Lines, parse_number};
+use crate::usd::declares_mesh;
 use crate::xyz_ext::looks_like_atoms;
 
 /// What a file was recognised as.
@@ -110,6 +111,11 @@ pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
             Some(codec) => csv::looks_like_particles(&codec.decompress_head(head, HEAD_BYTES)),
             None => csv::looks_like_particles(head),
         },
+        ProbedKind::Format(Format::Usda | Format::Usdc) => {
+            let head = Codec::of(head)
+                .map_or(Cow::Borrowed(head), |codec| Cow::Owned(codec.decompress_head(head, HEAD_BYTES)));
+            !declares_mesh(&head)
+        }
         kind => kind.format().is_some_and(Format::has_particles),
     }
 }

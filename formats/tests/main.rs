@@ -23,6 +23,7 @@ mod shared; // files of other programs, if found next to the repository
 mod solids; // narrow-band level sets of solids
 mod truncated; // truncated files
 mod usd; // meshes as .usda and .usdc
+mod usd_points; // particles in .usda, .usdc and .usdz
 mod vdb_read; // .vdb files written by other programs
 mod vdb_write; // level sets written as .vdb
 mod vertex_attributes; // vertex attributes

@@ -366,11 +366,10 @@ impl<'a> ComposedStage<'a> {
                 }
                 _ => None,
             };
-            let default = file.layer.field(child, "default")?;
-            if file.layer.field(child, "spline")?.is_some() && samples.is_none() {
-                let what = format!("{}.{name} is a spline, which is not supported", excerpt(&prim.path));
-                return Err(Error::unsupported(FORMAT, what));
-            }
+            let default = match file.layer.field(child, "spline")? {
+                Some(_) => Some(Value::Unread("a spline")),
+                None => file.layer.field(child, "default")?,
+            };
             let is_there = samples.is_some() || default.is_some();
             Ok(is_there.then(|| StrongestValue { file: Rc::clone(file), samples, default }))
         })

@@ -91,12 +91,12 @@ pub(crate) enum ArrayPlace {
     /// The bits that represent a value in a binary file.
     Binary(u64),
     /// Its elements, the first and the end of its bytes, and its line.
-    Text(ElementType, u64, u64, u64),
+    Text(ArrayElement, u64, u64, u64),
 }
 
 /// The elements of an array.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum ElementType {
+pub(crate) enum ArrayElement {
     /// Numbers, or vectors of several.
     Numbers(NumberType, usize),
     Words,
@@ -306,7 +306,8 @@ pub(crate) fn add_node(nodes: &mut Vec<LayerNode>, parent: usize, node: LayerNod
 }
 
 impl NodeFields {
-    fn has(&self, name: &str) -> bool {
+    /// Whether a text has a field.
+    pub(crate) fn has(&self, name: &str) -> bool {
         matches!(self, NodeFields::List(fields) if fields.iter().any(|(field, _)| field == name))
     }
 

@@ -54,6 +54,17 @@ pub(crate) fn attribute_of(property: &str) -> Option<&str> {
     }
 }
 
+/// Whether a layer has a mesh and no points, judged by its first bytes: this crate wrote it, or it is a text in
+/// which a mesh comes first.
+pub(crate) fn declares_mesh(head: &[u8]) -> bool {
+    let contains = |word: &[u8]| head.windows(word.len()).any(|part| part == word);
+    let is_ours = match head {
+        [b'#', ..] => contains(b"dictionary meniscus = {"),
+        _ => head.get(88..).is_some_and(|rest| rest.starts_with(b"# ") || rest.starts_with(b"end_header\n")),
+    };
+    is_ours || head.starts_with(b"#usda") && contains(b"def Mesh ") && !contains(b"def Points ")
+}
+
 /// A property of a mesh that has time samples. A [stage](crate::usda::UsdStage) declares these properties.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SampledProperty {

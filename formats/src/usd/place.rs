@@ -104,10 +104,7 @@ impl ComposedStage<'_> {
         let Some(value) = self.attribute(prim, name)? else { return Ok(None) };
         let read = |stored: &Value| match stored {
             Value::Array(place) => value.layer().array(place, name).map(Some),
-            Value::Unread(what) => {
-                let what = format!("{}.{name} is {what}, which is not supported", excerpt(&prim.path));
-                Err(Error::unsupported(FORMAT, what))
-            }
+            Value::Unread(what) => Err(unread(prim, name, what)),
             _ => Ok(None),
         };
         Ok(match moment(&value, time)? {
@@ -133,6 +130,7 @@ impl ComposedStage<'_> {
                 Some(if is_rotation { turned(&first, &second, t) } else { between(&first, &second, t) })
             }
             Some(Moment::Between(Value::Numbers(first), ..)) => Some(first),
+            Some(Moment::Value(Value::Unread(what))) => return Err(unread(prim, name, what)),
             _ => None,
         })
     }
@@ -225,6 +223,11 @@ impl ComposedStage<'_> {
         }
         Ok(true)
     }
+}
+
+fn unread(prim: &StagePrim, name: &str, what: &str) -> Error {
+    let what = format!("{}.{name} is {what}, which is not supported", excerpt(&prim.path));
+    Error::unsupported(FORMAT, what)
 }
 
 const RESET: &str = "!resetXformStack!";

@@ -14,6 +14,7 @@ use std::rc::Rc;
 
 use super::FORMAT;
 use super::composed::{ComposedStage, StagePrim};
+use super::layer::{Value, wide};
 use super::place::{IDENTITY, PrimMatrix, all_transformed, cofactors, determinant};
 use crate::columns::role_of;
 use crate::container::{ContainerFile, ContainerReader, Sample};
@@ -164,6 +165,9 @@ impl PointPrims {
                 .notes
                 .push(format!("skipped prims for purposes other than rendering: {}", excerpts(&unrendered)));
         }
+        if found.prims.is_empty() && others.contains_key("Mesh") {
+            return Err(Error::unsupported(FORMAT, crate::MESH_REFUSAL));
+        }
         if found.prims.is_empty() {
             let others: Vec<String> = others
                 .into_iter()
@@ -255,8 +259,7 @@ fn turn(arrays: &mut [NamedArray], matrix: &PrimMatrix, prim: &StagePrim, notes:
                     ));
                 }
                 if (scale - 1.0).abs() > 1e-9 {
-                    let scaled =
-                        super::layer::wide(&array.values).iter().map(|width| width * scale).collect();
+                    let scaled = wide(&array.values).iter().map(|width| width * scale).collect();
                     array.values = narrowed(scaled, &array.values);
                 }
             }
@@ -293,6 +296,10 @@ pub(crate) fn attributes(
         }
         let primvar = attribute.strip_prefix(PRIMVARS);
         let name = primvar.unwrap_or(&attribute);
+        let kind = stage.attribute_field(prim, &attribute, "typeName")?;
+        if primvar.is_none() && !matches!(kind, Some(Value::Word(kind)) if kind.ends_with("[]")) {
+            continue;
+        }
         let Some((array, _)) = stage.array_at(prim, &attribute, time)? else {
             if primvar.is_some() {
                 constant.push(name.to_owned());
@@ -320,7 +327,7 @@ pub(crate) fn attributes(
         array.arity *= size;
         let fits = count.checked_mul(array.arity) == Some(array.values.len());
         let interpolation = match field("interpolation")? {
-            Some(super::layer::Value::Word(word)) => word,
+            Some(Value::Word(word)) => word,
             // The fallback is that of a constant, except for the attributes of points.
             _ if primvar.is_none() || fits && count > 1 => "vertex".to_owned(),
             _ => "constant".to_owned(),

@@ -24,7 +24,7 @@ use crate::number::NumberType;
 use crate::text::excerpt;
 use crate::usd::FORMAT;
 use crate::usd::layer::{
-    ArrayPlace, ElementType, Layer, LayerArc, LayerNode, LayerSource, ListEdits, NODE_BYTES, NodeFields,
+    ArrayElement, ArrayPlace, Layer, LayerArc, LayerNode, LayerSource, ListEdits, NODE_BYTES, NodeFields,
     SampleValues, TimeSamples, Value, add_node,
 };
 use crate::usd::package::LayerBytes;
@@ -332,6 +332,10 @@ impl UsdaParser<'_, '_> {
             let word = self.text.word()?;
             self.statement(0, &word, 0)?;
         }
+        // A layer without prims that changes no other layer has no purpose.
+        if self.nodes.len() == 1 && !self.nodes[0].fields.has("subLayers") {
+            return Err(self.text.ended());
+        }
         Ok(())
     }
 
@@ -460,7 +464,7 @@ impl UsdaParser<'_, '_> {
     }
 
     /// The value of an attribute. An array is only located.
-    fn typed_value(&mut self, is_array: bool, element: Option<ElementType>) -> Result<Value> {
+    fn typed_value(&mut self, is_array: bool, element: Option<ArrayElement>) -> Result<Value> {
         if !is_array || self.text.ahead()? != Some(b'[') {
             let value = self.value(0)?;
             return Ok(match value {
@@ -483,7 +487,7 @@ impl UsdaParser<'_, '_> {
         })
     }
 
-    fn samples(&mut self, is_array: bool, element: Option<ElementType>) -> Result<TimeSamples> {
+    fn samples(&mut self, is_array: bool, element: Option<ArrayElement>) -> Result<TimeSamples> {
         let mut samples = Vec::new();
         self.text.expect(b'{')?;
         while !self.text.takes(b'}')? {
@@ -689,9 +693,9 @@ fn with_edit<T>(mut edits: ListEdits<T>, edit: Option<&str>, items: Vec<T>) -> L
 }
 
 /// The elements of an array of this type, such as `point3f`.
-fn element_type(kind: &str) -> Option<ElementType> {
+fn element_type(kind: &str) -> Option<ArrayElement> {
     let number = match kind {
-        "string" | "token" | "asset" => return Some(ElementType::Words),
+        "string" | "token" | "asset" => return Some(ArrayElement::Words),
         "bool" => (NumberType::Bool, 1),
         "uchar" => (NumberType::U8, 1),
         "int" => (NumberType::I32, 1),
@@ -709,11 +713,11 @@ fn element_type(kind: &str) -> Option<ElementType> {
         "matrix4d" | "frame4d" => (NumberType::F64, 16),
         _ => return vector_type(kind),
     };
-    Some(ElementType::Numbers(number.0, number.1))
+    Some(ArrayElement::Numbers(number.0, number.1))
 }
 
 /// `float3`, or with a role, `point3f`.
-fn vector_type(kind: &str) -> Option<ElementType> {
+fn vector_type(kind: &str) -> Option<ArrayElement> {
     let digit = kind.find(|c: char| c.is_ascii_digit())?;
     let (stem, rest) = kind.split_at(digit);
     let arity = ["2", "3", "4"].iter().position(|digit| rest.starts_with(digit))? + 2;
@@ -727,7 +731,7 @@ fn vector_type(kind: &str) -> Option<ElementType> {
         ("point" | "normal" | "vector" | "color" | "texCoord", "d") => NumberType::F64,
         _ => return None,
     };
-    Some(ElementType::Numbers(number, arity))
+    Some(ArrayElement::Numbers(number, arity))
 }
 
 impl TextFile<'_> {
@@ -743,9 +747,9 @@ impl TextFile<'_> {
     }
 
     /// Reads the array in these bytes, which start at a line: the number of values per element, and all values.
-    pub(crate) fn array(&self, kind: ElementType, range: Range<u64>, line: u64) -> Result<(usize, Values)> {
+    pub(crate) fn array(&self, kind: ArrayElement, range: Range<u64>, line: u64) -> Result<(usize, Values)> {
         let text = &mut WindowedText::new(self, range, line);
-        let ElementType::Numbers(number, arity) = kind else {
+        let ArrayElement::Numbers(number, arity) = kind else {
             let mut table = Vec::new();
             elements(text, 1, |text| {
                 table.push(text.quoted()?);

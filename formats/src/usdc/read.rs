@@ -18,7 +18,7 @@ use crate::limits::Limits;
 use crate::number::{NumberType, append_bytes};
 use crate::usd::FORMAT;
 use crate::usd::layer::{
-    ArrayPlace, ElementType, Layer, LayerArc, LayerNode, LayerSource, ListEdits, NODE_BYTES, NodeFields,
+    ArrayElement, ArrayPlace, Layer, LayerArc, LayerNode, LayerSource, ListEdits, NODE_BYTES, NodeFields,
     SampleValues, TimeSamples, Value, add_node, unexpected, wide,
 };
 use crate::usd::package::LayerBytes;
@@ -263,7 +263,7 @@ impl<'a> CrateFile<'a> {
                 Value::Unread("an array")
             });
         }
-        if let Some(ElementType::Numbers(number, arity)) = element_type(code) {
+        if let Some(ArrayElement::Numbers(number, arity)) = element_type(code) {
             return self.numbers(rep, number, arity, what).map(Value::Numbers);
         }
         let inlined = u32::try_from(rep.payload()).unwrap_or(u32::MAX);
@@ -409,7 +409,7 @@ impl<'a> CrateFile<'a> {
         };
         let is_compressed = rep.is_compressed() && count >= COMPRESSED_MIN;
         match kind {
-            ElementType::Words => {
+            ArrayElement::Words => {
                 let indices = cursor.u32s(count, what)?;
                 let is_token = rep.type_code() == TOKEN;
                 let word =
@@ -418,10 +418,10 @@ impl<'a> CrateFile<'a> {
                 let indices = (0..i32::try_from(count).map_err(|_| unexpected(what))?).collect();
                 Ok((1, Values::Strings { table, indices }))
             }
-            ElementType::Numbers(number, 1) if is_compressed => {
+            ArrayElement::Numbers(number, 1) if is_compressed => {
                 Ok((1, compressed(&mut cursor, number, count, what)?))
             }
-            ElementType::Numbers(number, arity) => {
+            ArrayElement::Numbers(number, arity) => {
                 let bytes = cursor.take_all(count, arity * number.size(), what)?;
                 self.source.claim(bytes.len(), 1)?;
                 Ok((arity, in_order_all(rep, arity, number.decode(&bytes, Endian::Little))))
@@ -477,7 +477,7 @@ fn compressed(cursor: &mut CrateCursor, number: NumberType, count: usize, what: 
 }
 
 /// The elements of values with this type; `None` if they are neither numbers nor words.
-fn element_type(code: u8) -> Option<ElementType> {
+fn element_type(code: u8) -> Option<ArrayElement> {
     use NumberType::{Bool, F16, F32, F64, I32, I64, U8, U32, U64};
     let (number, arity) = match code {
         1 => (Bool, 1),
@@ -489,7 +489,7 @@ fn element_type(code: u8) -> Option<ElementType> {
         7 => (F16, 1),
         8 => (F32, 1),
         9 | 56 => (F64, 1), // also time codes
-        STRING | TOKEN | ASSET => return Some(ElementType::Words),
+        STRING | TOKEN | ASSET => return Some(ArrayElement::Words),
         13 => (F64, 4), // matrices
         14 => (F64, 9),
         15 => (F64, 16),
@@ -502,7 +502,7 @@ fn element_type(code: u8) -> Option<ElementType> {
         }
         _ => return None,
     };
-    Some(ElementType::Numbers(number, arity))
+    Some(ArrayElement::Numbers(number, arity))
 }
 
 /// Moves the real part of a quaternion, which is the last number in the file, to the front, as in the text form.
