@@ -14,10 +14,11 @@
 use std::cell::{Cell, RefCell};
 use std::collections::HashSet;
 use std::rc::Rc;
+use std::slice;
 use std::sync::Arc;
 
 use super::FORMAT;
-use super::layer::{Layer, LayerArc, LayerNode, ListEdits, TimeSamples, Value};
+use super::layer::{Layer, LayerArc, ListEdits, TimeSamples, Value};
 use super::package::{LayerBytes, Package};
 use crate::container::{ContainerFile, OpenFurther};
 use crate::error::{Error, Result};
@@ -62,6 +63,15 @@ struct Site {
     stack: usize,
     /// For each, the index of its layer in the stack, and the node.
     nodes: Vec<(usize, usize)>,
+    retime: Retime,
+}
+
+/// A node of a site.
+struct SiteNode<'a> {
+    file: Rc<LayerFile<'a>>,
+    node: usize,
+    /// From the time of its layer to that of its stack, and to that of the stage.
+    of_layer: Retime,
     retime: Retime,
 }
 
@@ -167,31 +177,24 @@ impl<'a> ComposedStage<'a> {
         Ok(files.len() - 1)
     }
 
-    /// The file to which a layer refers by a path. `place` is the prim that refers to it.
-    fn further_file(&self, from: usize, asset: &str, place: &str) -> Result<usize> {
+    /// The file with this path, in the folder or in the package of another one. `place` is what refers to it.
+    fn further_file(&self, from: usize, path: &str, place: &str) -> Result<usize> {
         let from = self.file(from);
-        let refused = |why: String| {
-            Error::unsupported(FORMAT, format!("{place} refers to the layer {}: {why}", excerpt(asset)))
+        let is_found = |file: &Rc<LayerFile>| {
+            let package =
+                |file: &LayerFile| file.package.as_ref().map(Rc::as_ptr).map(<*const Package>::addr);
+            file.path == path && package(file) == package(&from)
         };
-        let path = beside(&from.path, asset)
-            .ok_or_else(|| refused("it is outside the folder of the file".into()))?;
-        let found = |file: &LayerFile| {
-            let same = match (&file.package, &from.package) {
-                (Some(a), Some(b)) => Rc::ptr_eq(a, b),
-                (None, None) => true,
-                _ => false,
-            };
-            same && file.path == path
-        };
-        if let Some(index) = self.files.borrow().iter().position(|file| found(file)) {
+        if let Some(index) = self.files.borrow().iter().position(is_found) {
             return Ok(index);
         }
         if let Some(package) = &from.package {
-            let range = package.file(&path).ok_or_else(|| refused("the package does not have it".into()))?;
-            return self.add_layer(range, path, Some(Rc::clone(package)));
+            let bytes =
+                package.file(path).ok_or_else(|| refused(place, path, "the package does not have it"))?;
+            return self.add_layer(bytes, path.to_owned(), Some(Rc::clone(package)));
         }
-        let file = (self.open)(&path).map_err(|error| refused(error.to_string()))?;
-        self.add_file(LayerBytes::further(file)?, path)
+        let file = (self.open)(path).map_err(|error| refused(place, path, &error.to_string()))?;
+        self.add_file(LayerBytes::further(file)?, path.to_owned())
     }
 
     /// The stack of layers that starts with this file.
@@ -221,7 +224,7 @@ impl<'a> ComposedStage<'a> {
         layers.push((index, retime));
         let file = self.file(index);
         for LayerArc { asset, retime: own, .. } in file.layer.sublayers()? {
-            let further = self.further_file(index, &asset, "the stage")?;
+            let further = self.further_file(index, &beside(&file.path, &asset, "the stage")?, "the stage")?;
             let ratio = codes_per_second(&file.layer)? / codes_per_second(&self.file(further).layer)?;
             self.add_sublayers(further, combined(retime, [own[0], own[1] * ratio]), layers, depth + 1)?;
         }
@@ -246,13 +249,10 @@ impl<'a> ComposedStage<'a> {
         }
         // Weaker layers come first in the order of prims, as in OpenUSD.
         let mut names: Vec<String> = Vec::new();
-        self.for_nodes(parent, true, |file, node, _| {
-            let more = file.layer.prim_names(node)?;
-            let known: HashSet<&String> = names.iter().collect();
-            let new: Vec<String> = more.into_iter().filter(|name| !known.contains(name)).collect();
-            names.extend(new);
-            Ok(None::<()>)
-        })?;
+        let mut known = HashSet::new();
+        for SiteNode { file, node, .. } in self.nodes(&parent.sites).into_iter().rev() {
+            names.extend(file.layer.prim_names(node)?.into_iter().filter(|name| known.insert(name.clone())));
+        }
         for name in names {
             let path = format!("{}/{name}", parent.path);
             let sites = self.child(&parent.sites, &name, &path, 0)?;
@@ -279,46 +279,42 @@ impl<'a> ComposedStage<'a> {
             return Ok(false);
         }
         const OVER: f64 = 1.0;
-        let specifier = self.for_nodes(prim, false, |file, node, _| {
+        let specifier = self.strongest(prim, |SiteNode { file, node, .. }| {
             Ok(file.layer.number(node, "specifier")?.filter(|specifier| *specifier != OVER))
         })?;
         Ok(specifier == Some(0.0))
     }
 
-    /// Calls a function for all nodes of a prim, strongest first unless `is_reverse`, until it returns a value.
-    fn for_nodes<T>(
-        &self,
-        prim: &StagePrim,
-        is_reverse: bool,
-        mut of: impl FnMut(&Rc<LayerFile<'a>>, usize, Retime) -> Result<Option<T>>,
-    ) -> Result<Option<T>> {
+    /// All nodes of sites, strongest first.
+    fn nodes(&self, sites: &[Site]) -> Vec<SiteNode<'a>> {
         let mut all = Vec::new();
-        for site in &prim.sites {
+        for site in sites {
             let stack = Rc::clone(&self.stacks.borrow()[site.stack]);
             all.extend(site.nodes.iter().map(|&(index, node)| {
-                let (layer, retime) = stack.layers[index];
-                (layer, node, combined(site.retime, retime))
+                let (layer, of_layer) = stack.layers[index];
+                SiteNode { file: self.file(layer), node, of_layer, retime: combined(site.retime, of_layer) }
             }));
         }
-        if is_reverse {
-            all.reverse();
-        }
-        for (layer, node, retime) in all {
-            if let Some(found) = of(&self.file(layer), node, retime)? {
-                return Ok(Some(found));
-            }
-        }
-        Ok(None)
+        all
+    }
+
+    /// The first value that a function returns for the nodes of a prim.
+    fn strongest<T>(
+        &self,
+        prim: &StagePrim,
+        of: impl FnMut(SiteNode<'a>) -> Result<Option<T>>,
+    ) -> Result<Option<T>> {
+        self.nodes(&prim.sites).into_iter().map(of).find_map(Result::transpose).transpose()
     }
 
     /// The strongest value of a field of a prim.
     pub(crate) fn prim_field(&self, prim: &StagePrim, name: &str) -> Result<Option<Value>> {
-        self.for_nodes(prim, false, |file, node, _| file.layer.field(node, name))
+        self.strongest(prim, |SiteNode { file, node, .. }| file.layer.field(node, name))
     }
 
     /// The type of a prim, such as `Points`; empty without one.
     pub(crate) fn type_name(&self, prim: &StagePrim) -> Result<String> {
-        let found = self.for_nodes(prim, false, |file, node, _| {
+        let found = self.strongest(prim, |SiteNode { file, node, .. }| {
             Ok(file.layer.word(node, "typeName")?.filter(|name| !name.is_empty()))
         })?;
         Ok(found.unwrap_or_default())
@@ -327,18 +323,17 @@ impl<'a> ComposedStage<'a> {
     /// The names of the attributes of a prim.
     pub(crate) fn attribute_names(&self, prim: &StagePrim) -> Result<Vec<String>> {
         let mut names: Vec<String> = Vec::new();
-        self.for_nodes(prim, false, |file, node, _| {
+        for SiteNode { file, node, .. } in self.nodes(&prim.sites) {
             let nodes = &file.layer.nodes;
-            for LayerNode { name, .. } in
+            for child in
                 nodes[node].order.iter().map(|child| &nodes[*child]).filter(|child| child.is_attribute)
             {
                 self.limits.check_attributes(FORMAT, names.len(), "attributes of a prim")?;
-                if !names.iter().any(|known| **known == **name) {
-                    names.push(name.to_string());
+                if !names.iter().any(|known| **known == *child.name) {
+                    names.push(child.name.to_string());
                 }
             }
-            Ok(None::<()>)
-        })?;
+        }
         Ok(names)
     }
 
@@ -349,7 +344,7 @@ impl<'a> ComposedStage<'a> {
         attribute: &str,
         name: &str,
     ) -> Result<Option<Value>> {
-        self.for_nodes(prim, false, |file, node, _| match file.layer.child(node, attribute) {
+        self.strongest(prim, |SiteNode { file, node, .. }| match file.layer.child(node, attribute) {
             Some(child) => file.layer.field(child, name),
             None => Ok(None),
         })
@@ -357,7 +352,7 @@ impl<'a> ComposedStage<'a> {
 
     /// The strongest value of an attribute; `None` if it has none.
     pub(crate) fn attribute(&self, prim: &StagePrim, name: &str) -> Result<Option<StrongestValue<'a>>> {
-        self.for_nodes(prim, false, |file, node, retime| {
+        self.strongest(prim, |SiteNode { file, node, retime, .. }| {
             let Some(child) = file.layer.child(node, name) else { return Ok(None) };
             let samples = match file.layer.field(child, "timeSamples")? {
                 Some(Value::Samples(samples)) if !samples.codes.is_empty() => {
@@ -371,7 +366,7 @@ impl<'a> ComposedStage<'a> {
                 None => file.layer.field(child, "default")?,
             };
             let is_there = samples.is_some() || default.is_some();
-            Ok(is_there.then(|| StrongestValue { file: Rc::clone(file), samples, default }))
+            Ok(is_there.then(|| StrongestValue { file, samples, default }))
         })
     }
 
@@ -413,9 +408,9 @@ impl<'a> ComposedStage<'a> {
             return Err(Error::too_large(FORMAT, what));
         }
         found.push(site.clone());
+        let of_stack = |target: String| LayerArc { asset: String::new(), prim: target, retime: [0.0, 1.0] };
         for target in self.names(&site, "inheritPaths")? {
-            let same_stack = LayerArc { asset: String::new(), prim: target, retime: [0.0, 1.0] };
-            self.follow(&site, None, &same_stack, found, path, depth)?;
+            self.follow(&site, &of_stack(target), found, path, depth)?;
         }
         for set in self.names(&site, "variantSetNames")? {
             if let Some(variant) = self.selection(found, &set)? {
@@ -423,45 +418,34 @@ impl<'a> ComposedStage<'a> {
             }
         }
         for field in ["references", "payload"] {
-            for (layer, arc) in self.arcs(&site, field)? {
-                self.follow(&site, Some(layer), &arc, found, path, depth)?;
+            for arc in self.arcs(&site, field, path)? {
+                self.follow(&site, &arc, found, path, depth)?;
             }
         }
         for target in self.names(&site, "specializes")? {
-            let same_stack = LayerArc { asset: String::new(), prim: target, retime: [0.0, 1.0] };
-            self.follow(&site, None, &same_stack, found, path, depth)?;
+            self.follow(&site, &of_stack(target), found, path, depth)?;
         }
         Ok(())
     }
 
-    /// Adds the sites of the prim to which an arc of a layer leads.
+    /// Adds the sites of the prim to which an arc leads.
     fn follow(
         &self,
         site: &Site,
-        layer: Option<usize>,
         arc: &LayerArc,
         found: &mut Vec<Site>,
         path: &str,
         depth: usize,
     ) -> Result<()> {
-        let stack = Rc::clone(&self.stacks.borrow()[site.stack]);
-        let mut retime = site.retime;
-        let target = match layer {
-            Some(index) if !arc.asset.is_empty() => {
-                let (file, of_layer) = stack.layers[index];
-                let further = self.further_file(file, &arc.asset, excerpt(path).as_str())?;
-                let ratio = codes_per_second(&self.file(stack.layers[0].0).layer)?
-                    / codes_per_second(&self.file(further).layer)?;
-                let own = combined(of_layer, arc.retime);
-                retime = combined(retime, [own[0], own[1] * ratio]);
-                self.stack(further)?
-            }
-            Some(index) => {
-                retime = combined(retime, combined(stack.layers[index].1, arc.retime));
-                site.stack
-            }
-            None => site.stack,
-        };
+        let mut retime = combined(site.retime, arc.retime);
+        let mut target = site.stack;
+        if !arc.asset.is_empty() {
+            let own = self.stacks.borrow()[site.stack].layers[0].0;
+            let further = self.further_file(own, &arc.asset, &excerpt(path))?;
+            retime[1] *=
+                codes_per_second(&self.file(own).layer)? / codes_per_second(&self.file(further).layer)?;
+            target = self.stack(further)?;
+        }
         let first = self.stacks.borrow()[target].layers[0].0;
         let prim = match arc.prim.as_str() {
             "" => self.file(first).layer.word(0, "defaultPrim")?.unwrap_or_default(),
@@ -482,26 +466,29 @@ impl<'a> ComposedStage<'a> {
 
     /// The list of names in a field, with the edits of all layers.
     fn names(&self, site: &Site, field: &str) -> Result<Vec<String>> {
-        let stack = Rc::clone(&self.stacks.borrow()[site.stack]);
         let mut names = Vec::new();
-        for &(index, node) in site.nodes.iter().rev() {
-            let layer = &self.file(stack.layers[index].0).layer;
-            names = match layer.field(node, field)? {
+        for SiteNode { file, node, .. } in self.nodes(slice::from_ref(site)).into_iter().rev() {
+            names = match file.layer.field(node, field)? {
                 Some(Value::WordEdits(edits)) => edits.apply(names),
-                Some(value) => layer.words(&value)?,
+                Some(value) => file.layer.words(&value)?,
                 None => names,
             };
         }
         Ok(names)
     }
 
-    /// The references or payloads, each with the index of the layer that has it.
-    fn arcs(&self, site: &Site, field: &str) -> Result<Vec<(usize, LayerArc)>> {
-        let stack = Rc::clone(&self.stacks.borrow()[site.stack]);
+    /// The references or payloads, with the paths of files relative to the folder of the first one.
+    fn arcs(&self, site: &Site, field: &str, path: &str) -> Result<Vec<LayerArc>> {
         let mut arcs = Vec::new();
-        for &(index, node) in site.nodes.iter().rev() {
-            if let Some(Value::ArcEdits(edits)) = self.file(stack.layers[index].0).layer.field(node, field)? {
-                let edits: ListEdits<(usize, LayerArc)> = edits.map(|arc| Ok((index, arc.clone())))?;
+        for SiteNode { file, node, of_layer, .. } in self.nodes(slice::from_ref(site)).into_iter().rev() {
+            if let Some(Value::ArcEdits(edits)) = file.layer.field(node, field)? {
+                let edits: ListEdits<LayerArc> = edits.map(|arc| {
+                    let asset = match arc.asset.as_str() {
+                        "" => String::new(),
+                        asset => beside(&file.path, asset, &excerpt(path))?,
+                    };
+                    Ok(LayerArc { asset, prim: arc.prim.clone(), retime: combined(of_layer, arc.retime) })
+                })?;
                 arcs = edits.apply(arcs);
             }
         }
@@ -510,15 +497,11 @@ impl<'a> ComposedStage<'a> {
 
     /// The selected variant of a set.
     fn selection(&self, sites: &[Site], set: &str) -> Result<Option<String>> {
-        for site in sites {
-            let stack = Rc::clone(&self.stacks.borrow()[site.stack]);
-            for &(index, node) in &site.nodes {
-                let selected = self.file(stack.layers[index].0).layer.field(node, "variantSelection")?;
-                if let Some(Value::Dictionary(entries)) = selected
-                    && let Some((_, Value::Word(variant))) = entries.into_iter().find(|(name, _)| name == set)
-                {
-                    return Ok(Some(variant).filter(|variant| !variant.is_empty()));
-                }
+        for SiteNode { file, node, .. } in self.nodes(sites) {
+            if let Some(Value::Dictionary(entries)) = file.layer.field(node, "variantSelection")?
+                && let Some((_, Value::Word(variant))) = entries.into_iter().find(|(name, _)| name == set)
+            {
+                return Ok(Some(variant).filter(|variant| !variant.is_empty()));
             }
         }
         Ok(None)
@@ -534,19 +517,25 @@ fn codes_per_second(layer: &Layer) -> Result<f64> {
     Ok(stated.filter(|stated| stated.is_finite() && *stated > 0.0).unwrap_or(24.0))
 }
 
-/// The path of a file that the file `from` names; `None` if it is outside the folder of the first one.
-fn beside(from: &str, asset: &str) -> Option<String> {
-    if asset.starts_with(['/', '\\']) || asset.contains([':', '\0', '[']) {
-        return None;
-    }
+/// The path of a file that the file `from` names.
+///
+/// # Errors
+/// [`Error::Unsupported`] if it is outside the folder of the first one.
+fn beside(from: &str, asset: &str, place: &str) -> Result<String> {
+    let outside = || refused(place, asset, "it is outside the folder of the file");
     let mut names: Vec<&str> = from.split('/').collect();
     names.pop();
     for name in asset.split(['/', '\\']) {
         match name {
             "" | "." => {}
-            ".." => drop(names.pop()?),
+            ".." => drop(names.pop().ok_or_else(outside)?),
             name => names.push(name),
         }
     }
-    Some(names.join("/")).filter(|path| !path.is_empty())
+    let is_elsewhere = asset.starts_with(['/', '\\']) || asset.contains([':', '\0', '[']) || names.is_empty();
+    if is_elsewhere { Err(outside()) } else { Ok(names.join("/")) }
+}
+
+fn refused(place: &str, asset: &str, why: &str) -> Error {
+    Error::unsupported(FORMAT, format!("{place} refers to the layer {}: {why}", excerpt(asset)))
 }

@@ -16,6 +16,8 @@ pub(crate) mod package;
 mod place;
 pub(crate) mod points;
 mod sequence;
+#[cfg(test)]
+mod tests;
 
 use crate::data::{MeshView, VertexAttribute, VertexValues};
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
