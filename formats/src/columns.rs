@@ -404,7 +404,7 @@ const ROLES: &[(AttributeRole, &[&str])] = &[
     (AttributeRole::Velocity, &["velocity", "velocities", "vel", "v"]),
     (AttributeRole::Acceleration, &["acceleration", "accelerations", "accel"]),
     (AttributeRole::Normal, &["normal", "normals", "n"]),
-    (AttributeRole::Color, &["color", "colour", "colors", "colours", "cd", "rgb", "rgba"]),
+    (AttributeRole::Color, &["color", "colour", "colors", "colours", "cd", "rgb", "rgba", "displaycolor"]),
     (
         AttributeRole::Radius,
         &[

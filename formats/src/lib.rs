@@ -152,6 +152,10 @@ pub fn check_supported(head: &[u8], file_name: &str) -> Result<()> {
     }
 }
 
+/// The refusal of a mesh.
+pub(crate) const MESH_REFUSAL: &str =
+    "this is a mesh, not particles: use the particle file, or save the mesh's vertices as PLY";
+
 /// The particle reader for files of this kind. If there is none, the error says what the file is and what to
 /// do instead.
 fn reader_of(kind: ProbedKind, codec: Option<Codec>) -> Result<&'static ParticleReader> {
@@ -173,9 +177,7 @@ fn reader_of(kind: ProbedKind, codec: Option<Codec>) -> Result<&'static Particle
         Some(Content::LevelSet) => {
             "this is a volume, not particles: to convert a level set, rename it so that its name ends in .vdb"
         }
-        Some(Content::Mesh(_)) => {
-            "this is a mesh, not particles: use the particle file, or save the mesh's vertices as PLY"
-        }
+        Some(Content::Mesh(_)) => MESH_REFUSAL,
         Some(Content::Picture(_)) => "this is a picture, not particles: give the particle file",
         None => {
             "not a supported particle format: save it as PLY, BGEO or VTK (docs/formats.md lists all supported formats)"

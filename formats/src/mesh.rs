@@ -13,6 +13,7 @@ use crate::probe::{Probe, ProbedKind, probe};
 use crate::table::Format;
 use crate::text::excerpt;
 use crate::text::listed;
+use crate::usd::declares_mesh;
 use crate::vdb::{self, LevelSetData};
 use crate::vtk;
 
@@ -55,6 +56,7 @@ pub fn looks_like_mesh(head: &[u8], file_name: &str) -> bool {
         ProbedKind::Format(Format::Ply) => ply::holds_mesh(&head, &Limits::default()).unwrap_or(false),
         ProbedKind::Format(Format::Vtp) => vtk::holds_polys(&head),
         ProbedKind::Format(Format::Abc) => abc::is_own(&head),
+        ProbedKind::Format(Format::Usda | Format::Usdc) => declares_mesh(&head),
         kind => kind.format().is_some_and(|format| format.has_mesh() && !format.has_particles()),
     }
 }

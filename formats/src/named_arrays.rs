@@ -69,45 +69,49 @@ pub(crate) fn position_count(arrays: &[(&str, usize, usize)]) -> Option<usize> {
     singles.get(x).map(|&&(.., count)| count)
 }
 
-/// A part of a frame, such as one of several objects in a file.
+/// A part of a frame, such as one of several objects in a file: its particles, and arrays with a value for each.
+#[derive(Debug, Default)]
 pub(crate) struct ParticlePart {
     pub(crate) positions: FilePositions,
     pub(crate) arrays: Vec<NamedArray>,
 }
 
-/// Joins parts to one frame. Notes name a part by `kind`. Skips arrays that not all parts with particles have
-/// with the same type, with a note.
-pub(crate) fn frame_of_parts(parts: Vec<ParticlePart>, kind: &str) -> ParticleFrame {
-    let count = parts.len();
-    let mut notes = Vec::new();
-    let mut joined: Option<ParticlePart> = None;
-    for mut part in parts {
-        if part.positions.is_empty() {
-            continue;
-        }
-        notes.extend(take_mismatched(&mut part.arrays, part.positions.len()));
-        let Some(ParticlePart { positions, arrays }) = &mut joined else {
-            joined = Some(part);
-            continue;
-        };
-        positions.append(part.positions);
+/// Joins parts to one. Leaves out arrays that not all parts with particles have with the same type, with a note that
+/// names the parts by `kind`.
+pub(crate) fn joined_parts(parts: Vec<ParticlePart>, kind: &str, notes: &mut Vec<String>) -> ParticlePart {
+    let mut parts = parts.into_iter().filter(|part| !part.positions.is_empty());
+    let mut all = parts.next().unwrap_or_default();
+    for part in parts {
+        all.positions.append(part.positions);
+        let mut more = part.arrays;
         let mut has_more = |array: &mut NamedArray| {
             let same = |more: &mut NamedArray| (&more.name, more.arity) == (&array.name, array.arity);
-            let more = part.arrays.extract_if(.., same).next();
-            more.is_some_and(|more| append_any(&mut array.values, more.values))
+            let found = more.extract_if(.., same).next();
+            found.is_some_and(|found| append_any(&mut array.values, found.values))
         };
-        let lost = arrays.extract_if(.., |array| !has_more(array)).map(|array| array.name);
-        let mut lost: Vec<String> = lost.collect();
-        lost.extend(part.arrays.into_iter().map(|array| array.name));
-        let note = |name| format!("skipped `{}`: not all {kind} have it with the same type", excerpt(name));
-        notes.extend(lost.into_iter().map(note));
+        let mut lost: Vec<NamedArray> = all.arrays.extract_if(.., |array| !has_more(array)).collect();
+        lost.append(&mut more);
+        for NamedArray { name, .. } in lost {
+            let note = format!("skipped the array `{}`: it is not the same in all {kind}", excerpt(&name));
+            if !notes.contains(&note) {
+                notes.push(note);
+            }
+        }
     }
-    if count > 1 {
-        notes.insert(0, format!("joined the particles of {count} {kind}"));
+    all
+}
+
+/// Joins parts to one frame, like [`joined_parts`], with a note on their number.
+pub(crate) fn frame_of_parts(mut parts: Vec<ParticlePart>, kind: &str) -> ParticleFrame {
+    let mut notes = Vec::new();
+    if parts.len() > 1 {
+        notes.push(format!("joined the particles of {} {kind}", parts.len()));
     }
-    notes.sort();
-    notes.dedup();
-    let mut frame = joined.and_then(|part| frame_of(Some(part.positions), part.arrays)).unwrap_or_default();
+    for part in &mut parts {
+        notes.extend(take_mismatched(&mut part.arrays, part.positions.len()));
+    }
+    let ParticlePart { positions, arrays } = joined_parts(parts, kind, &mut notes);
+    let mut frame = frame_of(Some(positions), arrays).unwrap_or_default();
     frame.notes.splice(0..0, notes);
     frame
 }

@@ -16,6 +16,7 @@ use crate::json;
 use crate::neighbor::Neighbor;
 use crate::table::Format;
 use crate::text::{Lines, parse_number};
+use crate::usd::declares_mesh;
 use crate::vdb;
 use crate::vtk;
 use crate::xdmf::looks_like_xdmf;
@@ -116,6 +117,7 @@ pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
         ProbedKind::Format(Format::Json) => json::looks_like_particles,
         // The content of other archives is known only from their end.
         ProbedKind::Format(Format::Abc) => |head| !abc::is_own(head),
+        ProbedKind::Format(Format::Usda | Format::Usdc) => |head| !declares_mesh(head),
         kind => return kind.format().is_some_and(Format::has_particles),
     };
     match Codec::of(head) {
@@ -152,8 +154,15 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
         return ProbedKind::Foreign(MAYA);
     }
     if head.starts_with(b"PK\x03\x04") {
-        let is_npz = name.ends_with(".npz") || first_member(head).is_some_and(|name| name.ends_with(b".npy"));
-        return if is_npz { ProbedKind::Format(Format::Npz) } else { ProbedKind::Foreign("ZIP archive") };
+        let member = first_member(head).unwrap_or_default();
+        let is_layer = |ending: &&[u8]| member.ends_with(ending);
+        return if name.ends_with(".npz") || member.ends_with(b".npy") {
+            ProbedKind::Format(Format::Npz)
+        } else if name.ends_with(".usdz") || [&b".usdc"[..], b".usda", b".usd"].iter().any(is_layer) {
+            ProbedKind::Format(Format::Usdz)
+        } else {
+            ProbedKind::Foreign("ZIP archive")
+        };
     }
     let text = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head).trim_ascii_start();
     // This check comes before the check for text, because VTK appends raw bytes to its XML.

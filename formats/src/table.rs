@@ -139,6 +139,8 @@ formats! {
         Hdf5 => crate::hdf5::ROW,
         /// XDMF: an index of data sets in HDF5 files.
         Xdmf => crate::xdmf::ROW,
+        /// USD in a ZIP archive.
+        Usdz => crate::usd::points::PACKAGE_ROW,
     }
 }
 

@@ -29,11 +29,11 @@ use crate::data::{FilePositions, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::hdf5;
 use crate::limits::Limits;
-use crate::named_arrays::NamedArray;
+use crate::named_arrays::{NamedArray, ParticlePart};
 use crate::number::{NumberType, interleaved, positions};
 use crate::row::{FormatRow, ParticleReader};
 use crate::text::{excerpt, parse_number};
-use crate::vtk::{VtkPiece, attribute, joined};
+use crate::vtk::{attribute, joined};
 
 /// The format's name in errors.
 const FORMAT: &str = "XDMF";
@@ -77,7 +77,7 @@ pub fn read(container: &ContainerFile, index: usize, limits: &Limits) -> Result<
     let mut items =
         ItemReader { container, limits, opened: HashSet::new(), bytes: text.len() as u64, spent: 0 };
     let mut notes = Vec::new();
-    let pieces: Result<Vec<VtkPiece>> =
+    let pieces: Result<Vec<ParticlePart>> =
         frame.grids.iter().map(|range| piece(&text, range, &mut items, &mut notes)).collect();
     notes.dedup();
     let pieces = pieces?;
@@ -402,7 +402,7 @@ fn piece(
     range: &Range<usize>,
     items: &mut ItemReader,
     notes: &mut Vec<String>,
-) -> Result<VtkPiece> {
+) -> Result<ParticlePart> {
     let grid = grid(&text[range.clone()], range.start as u64)?;
     if !grid.has_points() {
         let kind = excerpt(grid.geometry.as_deref().unwrap_or("none"));
@@ -425,7 +425,7 @@ fn piece(
     let positions = positions(values).ok_or_else(wrong)?;
     let arrays = grid.attributes.iter().map(|attribute| array(attribute, &positions, items, notes));
     let arrays: Vec<Option<NamedArray>> = arrays.collect::<Result<_>>()?;
-    Ok(VtkPiece { positions, arrays: arrays.into_iter().flatten().collect() })
+    Ok(ParticlePart { positions, arrays: arrays.into_iter().flatten().collect() })
 }
 
 /// The values of an attribute; `None`, with a note, if it has none for the points.

@@ -404,6 +404,19 @@ fn damaged_meshes_do_not_panic() {
     }
 }
 
+/// More often than other files, because a stage has many parts.
+#[test]
+fn damaged_stages_do_not_panic() {
+    let _alone = alone();
+    let limits = Limits::default();
+    for (name, bytes) in fixtures::usd::all() {
+        for round in 0..10 {
+            sweep(&format!("{name} {round}"), &bytes, |bytes| read_particles(bytes, &name, &limits));
+        }
+        sweep(&name, &bytes, |bytes| read_mesh(bytes, &name, &limits, &|_| Ok(bytes.to_vec())));
+    }
+}
+
 #[test]
 fn damaged_obstacles_do_not_panic() {
     let _alone = alone();

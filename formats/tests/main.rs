@@ -26,6 +26,7 @@ mod shared; // files of other programs, if found next to the repository
 mod solids; // narrow-band level sets of solids
 mod truncated; // truncated files
 mod usd; // meshes as .usda and .usdc
+mod usd_points; // particles in .usda, .usdc and .usdz
 mod vdb_points; // grids of points in .vdb files
 mod vdb_read; // .vdb files written by other programs
 mod vdb_write; // level sets written as .vdb

@@ -279,9 +279,9 @@ fn truncated_and_damaged_usdc_is_an_error() {
         }
     }
     let mut newer = bytes.clone();
-    newer[9] = 13;
+    newer[9] = 14;
     let error = read(&newer).expect_err("another version").to_string();
-    assert!(error.contains("version 0.13.0"), "{error}");
+    assert!(error.contains("version 0.14.0"), "{error}");
 }
 
 /// Refuses to seek beyond 2⁶³, as files do.

@@ -22,8 +22,8 @@ use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
     ContainerFile, Format, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind,
     ReadAt, Result, Sample, Values, abc, bgeo, completeness, compression, csv, gltf, hdf5, houdini,
-    is_complete, json, lammps, looks_like_particles, npy, obj, ply, png, probe, prt, read_obstacle,
-    read_particles, read_provenance, stl, usda, usdc, vdb, vtk, xdmf, xyz, xyz_ext,
+    is_complete, json, lammps, looks_like_particles, npy, obj, ply, png, probe, prt, read_mesh,
+    read_obstacle, read_particles, read_provenance, stl, usda, usdc, vdb, vtk, xdmf, xyz, xyz_ext,
 };
 use twox_hash::XxHash3_64;
 
@@ -79,6 +79,7 @@ pub(crate) const TARGETS: &[Target] = &[
     plain("usda_head", |bytes| drop((usda::read_layer_info(bytes), usda::read_sampled_properties(bytes)))),
     compressed("usdc", usdc_frames),
     compressed("abc", alembic),
+    compressed("usd", usd_stage),
     plain("stl", |bytes| drop(stl::read_mesh(bytes, &limits()))),
     plain("obj", |bytes| drop(obj::read_mesh(bytes))),
     Target { name: "png", content: Content::Picture, run: |bytes| drop(png::read(bytes)) },
@@ -243,6 +244,12 @@ fn usdc_frames(bytes: &[u8]) {
     for index in 0..layer.codes().map_or(1, <[f64]>::len).min(4) {
         let _ = layer.frame(index);
     }
+}
+
+/// Reads the particles and the meshes of a stage.
+fn usd_stage(bytes: &[u8]) {
+    checked(read_particles(bytes, "f", &limits()));
+    let _ = read_mesh(bytes, "f", &limits(), &|_| Ok(bytes.to_vec()));
 }
 
 /// Checks that do not read the whole file, for every format and every name.

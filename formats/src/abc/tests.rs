@@ -144,11 +144,11 @@ fn points_of_all_objects_are_read_in_world_space() {
         "skipped `gain`: it has one value for all particles",
         "skipped 1 hidden Points",
         "joined the particles of 2 Points",
-        "skipped `heat`: not all Points have it with the same type",
-        "skipped `id`: not all Points have it with the same type",
-        "skipped `phase`: not all Points have it with the same type",
-        "skipped `spin`: not all Points have it with the same type",
-        "skipped `velocity`: not all Points have it with the same type",
+        "skipped the array `heat`: it is not the same in all Points",
+        "skipped the array `id`: it is not the same in all Points",
+        "skipped the array `phase`: it is not the same in all Points",
+        "skipped the array `spin`: it is not the same in all Points",
+        "skipped the array `velocity`: it is not the same in all Points",
         "`width` looks like a diameter: the radius is half of it",
     ];
     assert_eq!(frame.notes, notes);

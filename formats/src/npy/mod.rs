@@ -421,17 +421,17 @@ const LOCAL: &[u8; 4] = b"PK\x03\x04";
 /// The longest comment after the end of the central directory.
 const COMMENT_BYTES_MAX: usize = u16::MAX as usize;
 
-const STORED: u16 = 0;
+pub(crate) const STORED: u16 = 0;
 const DEFLATED: u16 = 8;
 
 /// A file in the archive.
-struct ArchiveMember {
-    name: String,
-    method: u16,
+pub(crate) struct ArchiveMember {
+    pub(crate) name: String,
+    pub(crate) method: u16,
     checksum: u32,
     packed_bytes: u64,
-    bytes: u64,
-    local_offset: u64,
+    pub(crate) bytes: u64,
+    pub(crate) local_offset: u64,
 }
 
 /// Total sizes of the members read so far.
@@ -443,18 +443,23 @@ struct ArchiveTotals {
 
 /// The members, as listed by the central directory.
 fn members(bytes: &[u8], limits: &Limits) -> Result<Vec<ArchiveMember>> {
-    let (count, offset) = directory(bytes)?;
+    let (count, offset) = directory(bytes, 0)?;
     limits.check_attributes(ARCHIVE, usize::try_from(count).unwrap_or(usize::MAX), "arrays")?;
-    let start = usize::try_from(offset).unwrap_or(usize::MAX).min(bytes.len());
-    let mut cursor = Cursor::new(ARCHIVE, Endian::Little, bytes, start);
-    if (cursor.remaining() as u64) < count * ENTRY_BYTES {
+    entries(&bytes[usize::try_from(offset).unwrap_or(usize::MAX).min(bytes.len())..], count)
+}
+
+/// The entries of a central directory.
+pub(crate) fn entries(directory: &[u8], count: u64) -> Result<Vec<ArchiveMember>> {
+    let mut cursor = Cursor::new(ARCHIVE, Endian::Little, directory, 0);
+    if (cursor.remaining() as u64) < count.saturating_mul(ENTRY_BYTES) {
         return Err(cursor.invalid(format!("expected {count} entries in the central directory")));
     }
     (0..count).map(|_| member(&mut cursor)).collect::<Result<_>>().map_err(as_invalid)
 }
 
-/// The number of members, and the offset of the central directory.
-fn directory(bytes: &[u8]) -> Result<(u64, u64)> {
+/// The number of members, and the offset of the central directory. `bytes` are the end of the archive, from
+/// the offset `base` on.
+pub(crate) fn directory(bytes: &[u8], base: u64) -> Result<(u64, u64)> {
     let at = end_of_directory(bytes)?;
     let mut end = Cursor::new(ARCHIVE, Endian::Little, bytes, at + 10);
     let count = u64::from(end.u16("the number of members")?);
@@ -463,7 +468,7 @@ fn directory(bytes: &[u8]) -> Result<(u64, u64)> {
     let locator = at.checked_sub(END_64_LOCATOR_BYTES).filter(|&at| bytes[at..].starts_with(END_64_LOCATOR));
     let Some(locator) = locator else { return Ok((count, offset)) };
     let mut locator = Cursor::new(ARCHIVE, Endian::Little, bytes, locator + 8);
-    let at = locator.u64("the offset of the end")?;
+    let at = locator.u64("the offset of the end")?.saturating_sub(base);
     let at = usize::try_from(at).unwrap_or(usize::MAX).min(bytes.len());
     let mut end = Cursor::new(ARCHIVE, Endian::Little, bytes, at);
     if end.take(4, "the end of the central directory").map_err(as_invalid)? != END_64 {

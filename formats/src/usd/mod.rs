@@ -1,5 +1,6 @@
-//! The content of a mesh in USD, and of a [sequence]: the properties that both the text writer and the binary
-//! writer encode.
+//! USD: what the text form and the binary form have in common. For the writers, the content of a mesh and of a
+//! [sequence]; for the readers, [layers](layer), the [stage](composed) of several, and its [particles](points)
+//! and [meshes](mesh).
 //!
 //! ```text
 //!   def Xform "root"
@@ -8,7 +9,15 @@
 //!           velocities, accelerations, primvars:NAME .., subdivisionScheme, xformOp:translate
 //! ```
 
+pub(crate) mod composed;
+pub(crate) mod layer;
+pub(crate) mod mesh;
+pub(crate) mod package;
+mod place;
+pub(crate) mod points;
 mod sequence;
+#[cfg(test)]
+mod tests;
 
 use crate::data::{MeshView, VertexAttribute, VertexValues};
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
@@ -45,6 +54,17 @@ pub(crate) fn attribute_of(property: &str) -> Option<&str> {
         Some(name) => Some(name).filter(|name| !name.ends_with(INDICES)),
         None => Some(property).filter(|name| [VELOCITIES, ACCELERATIONS].contains(name)),
     }
+}
+
+/// Whether a layer has a mesh and no points, judged by its first bytes: this crate wrote it, or it is a text in
+/// which a mesh comes first.
+pub(crate) fn declares_mesh(head: &[u8]) -> bool {
+    let contains = |word: &[u8]| head.windows(word.len()).any(|part| part == word);
+    let is_ours = match head {
+        [b'#', ..] => contains(b"dictionary meniscus = {"),
+        _ => head.get(88..).is_some_and(|rest| rest.starts_with(b"# ") || rest.starts_with(b"end_header\n")),
+    };
+    is_ours || head.starts_with(b"#usda") && contains(b"def Mesh ") && !contains(b"def Points ")
 }
 
 /// A property of a mesh that has time samples. A [stage](crate::usda::UsdStage) declares these properties.

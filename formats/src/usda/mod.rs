@@ -21,10 +21,9 @@
 //! third of the size. A sequence is one file with a single mesh, whose attributes all have a sample per
 //! frame, so it is easy to move and can be replaced atomically. A [stage](UsdStage) is the alternative: a
 //! file that lists those of the frames, which may still be arriving.
-//!
-//! This crate does not read meshes from `.usda`: it reads only the heads of the files that it wrote.
 
 mod head;
+mod parse;
 mod stage;
 
 use std::io::{self, Read, Seek, Write};
@@ -34,6 +33,7 @@ use rayon::prelude::*;
 
 pub use crate::usd::{LayerInfo, SampledProperty};
 pub use head::{read_layer_info, read_sampled_properties, read_times};
+pub(crate) use parse::{TextFile, read_layer};
 pub use stage::{ClipFile, StageClips, UsdStage, stage_text};
 
 use crate::data::{MeshView, Provenance};
@@ -42,6 +42,8 @@ use crate::gltf::SequenceFrame;
 use crate::options::{MeshOptions, WriteOption};
 use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
 use crate::text::{NumberWriter, ends_with_line};
+use crate::usd::mesh::read_alone;
+use crate::usd::points::READER;
 use crate::usd::{
     Elements, FORMAT, MeshProperty, PRIM, PropertyValue, SAMPLE_CODE, SequenceAttribute, TRANSLATE,
     UsdSequence, attribute_of, properties, renamed,
@@ -51,7 +53,13 @@ use head::{LAST_LINE, head, quoted, read_provenance, times};
 
 /// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
-    format: FormatRow { signatures: &[b"#usda"], ..FormatRow::new("USD text", &["usda"]) },
+    format: FormatRow {
+        signatures: &[b"#usda"],
+        beginnings: &[b"#usda"],
+        particles: Some(READER),
+        read_mesh: Some(read_alone),
+        ..FormatRow::new("USD text", &["usda"])
+    },
     help: "USD as text",
     content: Content::Mesh(MeshWriter {
         attribute_notes: |attributes| renamed(attributes, "usda"),

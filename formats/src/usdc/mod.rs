@@ -1,5 +1,5 @@
 //! Binary USD, `.usdc`, the crate format of the AOUSD Core Specification 1.0, §16.3: writes meshes, of one
-//! frame or of a sequence as time samples, and reads the files that it wrote.
+//! frame or of a sequence as time samples, and reads the layers of any program.
 //!
 //! ```text
 //!   0    bootstrap     PXR-USDC, version 0.8.0, offset of the table of contents
@@ -25,6 +25,7 @@
 //! [Stages](crate::usda::UsdStage) see only time samples; programs that know no times find the default.
 
 mod array;
+mod own;
 mod read;
 mod sequence;
 mod tables;
@@ -35,7 +36,8 @@ use std::io::Write;
 use rayon::prelude::*;
 
 pub use crate::usd::{LayerInfo, SampledProperty};
-pub use read::{UsdcFrame, UsdcLayer, read_layer_info, read_sampled_properties};
+pub use own::{UsdcFrame, UsdcLayer, read_layer_info, read_sampled_properties};
+pub(crate) use read::{CrateFile, read_layer};
 pub use sequence::write_sequence;
 
 use crate::data::{
@@ -47,10 +49,11 @@ use crate::limits::Limits;
 use crate::options::{MeshOptions, UpAxis, WriteOption};
 use crate::provenance::{comments, from_comments};
 use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
+use crate::usd::mesh::read_alone;
+use crate::usd::points::READER;
 use crate::usd::{FORMAT, MeshProperty, PropertyValue, ROOT, SAMPLE_CODE, properties, renamed};
 use crate::vertex_attributes::{check_quads, plain_name, quad_count};
 use array::{ALIGNMENT, CrateArray};
-use read::read_mesh;
 use tables::{
     BOOTSTRAP_BYTES, MAGIC, SpecType, Tables, ValueRep, ValueType, append_count, bootstrap, check_magic,
     claimed_bytes,
@@ -73,7 +76,9 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
 pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow {
         signatures: &[MAGIC],
-        read_mesh: Some(|bytes, limits, _| read_mesh(bytes, limits)),
+        beginnings: &[MAGIC],
+        particles: Some(READER),
+        read_mesh: Some(read_alone),
         ..FormatRow::new("binary USD", &["usdc"])
     },
     help: "Binary USD",

@@ -1,605 +1,706 @@
-//! Reads the meshes of a file that this crate wrote.
+//! Reads a layer that any program wrote.
+//!
+//! The tables are read at once; values and arrays are read from the file when they are needed. All that is
+//! read counts towards the limit of decompressed bytes, because several values can refer to the same bytes.
 
 use std::cell::Cell;
-use std::io::{Read, Seek, SeekFrom};
+use std::sync::Arc;
 
 use super::array::{AS_INTEGERS, AS_TABLE, COMPRESSED_MIN, Integer, decode, decompress, encoded_bytes_max};
 use super::tables::{
-    BOOTSTRAP_BYTES, LayerTables, NOT_OURS, Spec, SpecType, TABLE_BYTES, ValueRep, ValueType,
-    check_contents_at, contents_at, no_gap, read_contents, value_here,
+    BOOTSTRAP_BYTES, JUMP_CHILD, JUMP_SIBLING, SET_END, SpecType, ValueRep, ValueType, check_contents_at,
+    contents_at, read_contents,
 };
-use crate::bytes::{Cursor, Endian, piece};
-use crate::data::{AttributeRole, FileAttribute, MeshData, Values, world};
+use crate::bytes::Endian;
+use crate::data::Values;
 use crate::error::{Error, Position, Result};
-use crate::gltf::PlacedMesh;
 use crate::limits::Limits;
-use crate::options::UpAxis;
-use crate::usd::{
-    ACCELERATIONS, FORMAT, INDICES, LayerInfo, SampledProperty, TRANSLATE, VELOCITIES, attribute_of,
+use crate::number::{NumberType, append_bytes};
+use crate::usd::FORMAT;
+use crate::usd::layer::{
+    ArrayElement, ArrayPlace, Layer, LayerArc, LayerNode, LayerSource, ListEdits, NODE_BYTES, NodeFields,
+    SampleValues, TimeSamples, Value, add_node, unexpected, wide,
 };
+use crate::usd::package::LayerBytes;
 
-/// A file with the mesh of one frame, or with a sample for each frame of a sequence.
-pub struct UsdcLayer<'a> {
-    source: Source<'a>,
-    tables: LayerTables,
-    info: LayerInfo,
-    codes: Option<Vec<f64>>,
-    properties: Vec<(usize, PropertyValues)>,
+/// A binary file, and its tables.
+pub(crate) struct CrateFile<'a> {
+    pub(crate) source: Source<'a>,
+    version: [u8; 3],
+    tokens: Vec<Arc<str>>,
+    strings: Vec<u32>,
+    fields: Vec<(u32, ValueRep)>,
+    sets: Vec<u32>,
+    /// By their indices; `None` for a path that the file does not describe.
+    paths: Vec<Option<CratePath>>,
 }
 
-/// A frame of a file.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct UsdcFrame {
-    /// The mesh, in world units.
-    pub mesh: MeshData,
-    /// The velocities and accelerations, and the primvars under their own names.
-    pub attributes: Vec<FileAttribute>,
+/// An element of the table of paths.
+#[derive(Clone, Copy)]
+struct CratePath {
+    parent: usize,
+    token: u32,
+    is_property: bool,
 }
 
-/// The values of a property.
-enum PropertyValues {
-    Always(ValueRep),
-    /// In the order of time codes.
-    Samples(Vec<(f64, ValueRep)>),
-}
-
-/// Reads the mesh of a file with one frame.
-pub(super) fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
-    let layer = UsdcLayer::read(bytes, limits)?;
-    layer.check_single_frame()?;
-    Ok(layer.frame(0)?.mesh)
-}
-
-impl<'a> UsdcLayer<'a> {
-    /// Reads the tables of a file; [`UsdcLayer::frame`] reads the meshes.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Truncated`] if the file is truncated; [`Error::Unsupported`] if another program wrote or
-    /// changed it; [`Error::Invalid`] if it is damaged; [`Error::TooLarge`] if it exceeds the limits.
-    pub fn read(bytes: &'a [u8], limits: &Limits) -> Result<UsdcLayer<'a>> {
-        let source = Source::new(bytes, limits);
-        let tables = LayerTables::read(&source)?;
-        UsdcLayer::of_parts(source, tables)
-    }
-
-    /// The layer with these tables. The source needs no arrays, except to read frames.
-    fn of_parts(source: Source<'a>, tables: LayerTables) -> Result<UsdcLayer<'a>> {
-        let info = layer_info(&source, &tables)?;
-        if tables.word(tables.specs[2].field("typeName"), "the prim's type")? != "Mesh" {
-            return Err(Error::unsupported(
-                FORMAT,
-                format!("this file has prims other than one mesh: {NOT_OURS}"),
-            ));
-        }
-        let mut properties = Vec::new();
-        for (index, spec) in tables.specs.iter().enumerate().skip(3) {
-            if spec.kind != SpecType::Attribute as i32 {
-                return Err(Error::unsupported(FORMAT, format!("this file has relationships: {NOT_OURS}")));
-            }
-            properties.push((index, values_of(&source, spec)?));
-        }
-        let mut layer = UsdcLayer { source, tables, info, codes: None, properties };
-        layer.codes = match layer.values("points") {
-            Some((_, PropertyValues::Samples(samples))) => {
-                // Other samples repeat a frame just before the next.
-                Some(samples.iter().map(|(code, _)| *code).filter(|code| code.fract() == 0.0).collect())
-            }
-            Some((_, PropertyValues::Always(_))) => None,
-            None => return Err(unexpected("points")),
-        };
-        Ok(layer)
-    }
-
-    /// The summary of the file.
-    pub fn info(&self) -> LayerInfo {
-        self.info
-    }
-
-    /// Fails if the file is a sequence.
-    pub(super) fn check_single_frame(&self) -> Result<()> {
-        match self.codes {
-            Some(_) => Err(Error::unsupported(FORMAT, "this file is a sequence: use the file of one frame")),
-            None => Ok(()),
-        }
-    }
-
-    /// The axis of the points that points up.
-    pub(super) fn up(&self) -> Result<UpAxis> {
-        match self.tables.word(self.tables.specs[0].field("upAxis"), "upAxis")? {
-            "Y" => Ok(UpAxis::Y),
-            "Z" => Ok(UpAxis::Z),
-            axis => {
-                Err(Error::unsupported(FORMAT, format!("upAxis is {}: {NOT_OURS}", crate::escaped(axis))))
-            }
-        }
-    }
-
-    /// The time codes of the frames; `None` for a file without time samples.
-    pub fn codes(&self) -> Option<&[f64]> {
-        self.codes.as_deref()
-    }
-
-    /// The names of the vertex attributes, except normals.
-    pub fn attribute_names(&self) -> impl Iterator<Item = &str> {
-        self.properties.iter().filter_map(|(spec, _)| attribute_of(&self.tables.specs[*spec].name))
-    }
-
-    /// Reads a frame by its index; a file without time samples has one, with index 0.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Invalid`] if there is no such frame, or if it is damaged; [`Error::TooLarge`] if it exceeds
-    /// the limits.
-    pub fn frame(&self, index: usize) -> Result<UsdcFrame> {
-        let PlacedMesh { positions, normals, triangles, origin, attributes } = self.placed_frame(index)?;
-        let positions = positions.as_chunks::<3>().0;
-        self.source.claim(positions.len(), size_of::<[f64; 3]>())?;
-        let positions = positions.iter().map(|position| world(origin, *position)).collect();
-        let normals = normals.as_chunks::<3>().0.to_vec();
-        Ok(UsdcFrame { mesh: MeshData { positions, normals, triangles }, attributes })
-    }
-
-    /// Reads a frame as it is stored.
-    pub(super) fn placed_frame(&self, index: usize) -> Result<PlacedMesh> {
-        self.source.start_anew();
-        let floats = |name: &str| self.source.read_floats(self.value(name, index)?, 3, name);
-        let (positions, normals) = (floats("points")?, floats("normals")?);
-        let (point_count, normal_count) = (positions.len() / 3, normals.len() / 3);
-        if normal_count != point_count {
-            return Err(invalid(format!("{normal_count} normals for {point_count} points")));
-        }
-        let integers = |name: &str| -> Result<Vec<i32>> {
-            self.source.read_integers(self.value(name, index)?, (ValueType::Int, 1), name)
-        };
-        let (counts, corners) = (integers("faceVertexCounts")?, integers("faceVertexIndices")?);
-        self.source.claim(corners.len(), size_of::<[u32; 3]>())?;
-        let triangles = fans(&counts, &corners, point_count)?;
-        let origin = self.origin(index)?;
-        let mut attributes = Vec::new();
-        for (spec, _) in &self.properties {
-            attributes.extend(self.attribute(&self.tables.specs[*spec], index, point_count)?);
-        }
-        Ok(PlacedMesh { positions, normals, triangles, origin, attributes })
-    }
-
-    fn values(&self, name: &str) -> Option<(&Spec, &PropertyValues)> {
-        let found = self.properties.iter().find(|(spec, _)| self.tables.specs[*spec].name == name);
-        found.map(|(spec, values)| (&self.tables.specs[*spec], values))
-    }
-
-    /// The value of a property in a frame. In a sequence, the property must have a sample for each frame.
-    fn value(&self, name: &str, index: usize) -> Result<ValueRep> {
-        match (self.values(name), &self.codes) {
-            (Some((_, PropertyValues::Always(value))), None) if index == 0 => Ok(*value),
-            (Some((_, PropertyValues::Samples(samples))), Some(codes)) => {
-                let sample = codes.get(index).and_then(|code| sample(samples, *code));
-                sample.ok_or_else(|| invalid(format!("{name} has no sample for frame {index}")))
-            }
-            _ => Err(unexpected(name)),
-        }
-    }
-
-    /// The point that positions are relative to.
-    fn origin(&self, index: usize) -> Result<[f64; 3]> {
-        let name = TRANSLATE;
-        let value = match self.values(name) {
-            None => return Ok([0.0; 3]),
-            Some((_, PropertyValues::Always(value))) => *value,
-            Some(_) => self.value(name, index)?,
-        };
-        let offset = value.offset(ValueType::Vec3d).ok_or_else(|| unexpected(name))?;
-        let mut cursor = self.source.at(offset)?;
-        let mut origin = [0.0; 3];
-        for part in &mut origin {
-            *part = cursor.f64(name)?;
-        }
-        Ok(origin)
-    }
-
-    /// The vertex attribute that is stored in a property; `None` for other properties.
-    fn attribute(&self, spec: &Spec, index: usize, vertex_count: usize) -> Result<Option<FileAttribute>> {
-        let name = &*spec.name;
-        let Some(plain) = attribute_of(name) else { return Ok(None) };
-        let role = match name {
-            VELOCITIES => Some(AttributeRole::Velocity),
-            ACCELERATIONS => Some(AttributeRole::Acceleration),
-            "primvars:displayColor" => Some(AttributeRole::Color),
-            _ => None,
-        };
-        let size = match spec.field("elementSize") {
-            None => 1,
-            Some(size) => size.value(ValueType::Int).ok_or_else(|| unexpected(name))? as usize,
-        };
-        let kind = self.tables.word(spec.field("typeName"), name)?;
-        let value = self.value(name, index)?;
-        let (width, values) = self.attribute_values(name, kind, value, index)?;
-        let found = values.len();
-        let arity = width.saturating_mul(size);
-        if arity == 0 || vertex_count.checked_mul(arity) != Some(found) {
-            return Err(invalid(format!(
-                "{name} has {found} values, but the mesh has {vertex_count} points with {arity} values each"
-            )));
-        }
-        Ok(Some(FileAttribute { name: plain.to_owned(), arity, role, values }))
-    }
-
-    /// The number of values per element of the array, and all values.
-    fn attribute_values(
-        &self,
-        name: &str,
-        kind: &str,
-        value: ValueRep,
-        index: usize,
-    ) -> Result<(usize, Values)> {
-        let floats = |arity| Ok((arity, Values::F32(self.source.read_floats(value, arity, name)?)));
-        let integers =
-            |kind, arity| Ok((arity, Values::I32(self.source.read_integers(value, (kind, arity), name)?)));
-        match kind {
-            "float[]" => floats(1),
-            "float2[]" => floats(2),
-            "float3[]" | "vector3f[]" | "color3f[]" => floats(3),
-            "float4[]" => floats(4),
-            "int[]" => integers(ValueType::Int, 1),
-            "int2[]" => integers(ValueType::Vec2i, 2),
-            "int3[]" => integers(ValueType::Vec3i, 3),
-            "int4[]" => integers(ValueType::Vec4i, 4),
-            "int64[]" => Ok((1, Values::I64(self.source.read_integers(value, (ValueType::Int64, 1), name)?))),
-            "string[]" => {
-                let strings = self.source.read_indices(value, ValueType::String, name)?;
-                let mut table = Vec::new();
-                for string in strings {
-                    let text = self.tables.string(string).ok_or_else(|| unexpected(name))?;
-                    self.source.claim(text.len() + size_of::<String>(), 1)?;
-                    table.push(text.to_owned());
-                }
-                let indices = self.value(&format!("{name}{INDICES}"), index)?;
-                let indices = self.source.read_integers(indices, (ValueType::Int, 1), name)?;
-                Ok((1, Values::Strings { table, indices }))
-            }
-            _ => Err(Error::unsupported(FORMAT, format!("{name} is {}: {NOT_OURS}", crate::escaped(kind)))),
-        }
-    }
-}
-
-fn layer_info(source: &Source, tables: &LayerTables) -> Result<LayerInfo> {
-    let foreign = || Error::unsupported(FORMAT, format!("another program wrote this file: {NOT_OURS}"));
-    let data = tables.specs[0].field("customLayerData").ok_or_else(foreign)?;
-    let data = tables.dictionary(source, data)?;
-    let (_, counts) = data.iter().find(|(key, _)| *key == "meniscus_mesh").ok_or_else(foreign)?;
-    let counts = tables.dictionary(source, *counts)?;
-    let number = |name: &str| {
-        let value = counts.iter().find(|(key, _)| *key == name).map(|(_, value)| *value);
-        value.map(|value| int64(source, value)).transpose()
-    };
-    let vertices_and_faces = number("vertices")?.zip(number("faces")?);
-    let (vertices, faces) = vertices_and_faces.ok_or_else(|| unexpected("meniscus_mesh"))?;
-    Ok(LayerInfo { vertices, faces, frames: number("frames")? })
-}
-
-fn int64(source: &Source, value: ValueRep) -> Result<u64> {
-    let what = "a number in meniscus_mesh";
-    if let Some(value) = value.value(ValueType::Int64) {
-        return Ok(value.into());
-    }
-    let offset = value.offset(ValueType::Int64).ok_or_else(|| unexpected(what))?;
-    source.at(offset)?.u64(what)
-}
-
-fn values_of(source: &Source, spec: &Spec) -> Result<PropertyValues> {
-    let name = &*spec.name;
-    // The file of a frame has the same value as a sample, for stages.
-    if let Some(value) = spec.field("default") {
-        return Ok(PropertyValues::Always(value));
-    }
-    let samples = spec.field("timeSamples").ok_or_else(|| unexpected(name))?;
-    let offset = samples.offset(ValueType::TimeSamples).ok_or_else(|| unexpected(name))?;
-    let mut cursor = source.at(offset)?;
-    let times = value_here(&mut cursor, "times")?;
-    no_gap(&mut cursor, "samples")?;
-    let at = cursor.clone();
-    let sample_count = count(&mut cursor, "samples")?;
-    let values = cursor.take(sample_count.saturating_mul(8), "samples")?.as_chunks().0;
-    let times = times.offset(ValueType::DoubleVector).ok_or_else(|| unexpected(name))?;
-    let mut cursor = source.at(times)?;
-    if count(&mut cursor, "times")? != sample_count {
-        let what = format!("{name} has {sample_count} time samples, but a different number of time codes");
-        return Err(at.invalid(what));
-    }
-    let times = cursor.take(sample_count.saturating_mul(8), "times")?.as_chunks().0;
-    source.claim(sample_count, size_of::<(f64, ValueRep)>())?;
-    let value = |(time, value): (&[u8; 8], &[u8; 8])| {
-        (f64::from_le_bytes(*time), ValueRep(u64::from_le_bytes(*value)))
-    };
-    let samples: Vec<(f64, ValueRep)> = times.iter().zip(values).map(value).collect();
-    if samples.is_sorted_by(|(a, _), (b, _)| a < b) {
-        Ok(PropertyValues::Samples(samples))
-    } else {
-        Err(at.invalid(format!("the times of {name} do not increase")))
-    }
-}
-
-/// The sample at exactly this time code.
-fn sample(samples: &[(f64, ValueRep)], code: f64) -> Option<ValueRep> {
-    let index = samples.binary_search_by(|(time, _)| time.total_cmp(&code)).ok()?;
-    Some(samples[index].1)
-}
-
-/// Splits faces into triangle fans.
-fn fans(counts: &[i32], corners: &[i32], vertex_count: usize) -> Result<Vec<[u32; 3]>> {
-    let mut triangles = Vec::new();
-    let mut rest = corners;
-    for &count in counts {
-        let face = usize::try_from(count).ok().filter(|&count| count >= 3);
-        let Some((face, others)) = face.and_then(|count| rest.split_at_checked(count)) else {
-            return Err(invalid(format!("a face has {count} corners, but only {} are left", rest.len())));
-        };
-        rest = others;
-        let is_vertex = |index: i32| usize::try_from(index).is_ok_and(|index| index < vertex_count);
-        if let Some(index) = face.iter().find(|&&index| !is_vertex(index)) {
-            return Err(invalid(format!(
-                "a face has vertex {index}, but the mesh has {vertex_count} vertices"
-            )));
-        }
-        triangles
-            .extend(face[1..].windows(2).map(|pair| [face[0], pair[0], pair[1]].map(i32::cast_unsigned)));
-    }
-    match rest.len() {
-        0 => Ok(triangles),
-        count => Err(invalid(format!("{count} corners belong to no face"))),
-    }
-}
-
-fn invalid(what: String) -> Error {
-    Error::invalid(FORMAT, Position::File, what)
-}
-
-// Reads the ends of a file without its arrays: which properties have time samples, which a stage declares,
-// and the summary of a sequence.
-
-/// The maximum size of the tables. They are a few kilobytes, and more only if an attribute has very many
-/// different strings.
-const TABLES_BYTES_MAX: u64 = 64 << 20;
-
-/// Reads the properties with time samples from a file of this crate. Reads only its two ends: the bootstrap,
-/// and the tables.
+/// Reads the structure of a layer.
 ///
 /// # Errors
 ///
-/// [`Error::Io`] if the file cannot be read; [`Error::Truncated`] if it is truncated; [`Error::Unsupported`]
-/// if another program wrote or changed it; [`Error::Invalid`] if it is damaged; [`Error::TooLarge`] if it
-/// exceeds the limits.
-pub fn read_sampled_properties(
-    file: &mut (impl Read + Seek),
-    limits: &Limits,
-) -> Result<Vec<SampledProperty>> {
-    let (_, tables) = read_tables(file, limits)?;
-    let mut found = Vec::new();
-    for spec in &tables.specs {
-        if spec.kind == SpecType::Attribute as i32 && spec.field("timeSamples").is_some() {
-            let kind = tables.word(spec.field("typeName"), &spec.name)?;
-            found.extend(SampledProperty::checked(kind, &spec.name));
+/// [`Error::Truncated`] if the file is truncated; [`Error::Unsupported`] for other versions;
+/// [`Error::Invalid`] if it is damaged; [`Error::TooLarge`] if it exceeds the limits.
+pub(crate) fn read_layer<'a>(file: LayerBytes<'a>, limits: &Limits) -> Result<Layer<'a>> {
+    let size = file.length;
+    let source = Source { file, size, limits: *limits, unpacked: Cell::new(0) };
+    let head = source.at(0)?.take(size.min(BOOTSTRAP_BYTES as u64), "the bootstrap")?;
+    let (at, version) = contents_at(&head)?;
+    check_contents_at(at, size)?;
+    let contents = source.at(at)?.take((size - at).min(CONTENTS_BYTES_MAX), "the table of contents")?;
+    let sections = read_contents(&contents, at)?;
+    let section = |index: usize| source.at(sections[index].0);
+    let tokens = read_tokens(section(0)?)?;
+    let mut cursor = section(1)?;
+    let count = cursor.count("strings")?;
+    let strings = cursor.u32s(count, "strings")?;
+    let fields = read_fields(section(2)?)?;
+    let mut cursor = section(3)?;
+    let set_count = cursor.count("field sets")?;
+    let sets = cursor.integers::<i32>(set_count, "field sets")?.into_iter().map(i32::cast_unsigned).collect();
+    let (paths, order) = read_paths(section(4)?)?;
+    let specs = read_specs(section(5)?, paths.len())?;
+    let file = CrateFile { source, version, tokens, strings, fields, sets, paths };
+    let nodes = file.nodes(&order, &specs)?;
+    file.source.start_anew();
+    Ok(Layer { source: LayerSource::Binary(file), nodes })
+}
+
+/// The type of the spec of a variant.
+const VARIANT: i32 = 10;
+
+/// More than any table of contents has: a file has six sections.
+const CONTENTS_BYTES_MAX: u64 = 64 << 10;
+
+fn read_tokens(mut cursor: CrateCursor) -> Result<Vec<Arc<str>>> {
+    let at = cursor.clone();
+    let token_count = cursor.count("tokens")?;
+    let byte_count = cursor.count("bytes of tokens")?;
+    let text = cursor.lz4(byte_count, "tokens")?;
+    let text = String::from_utf8(text).map_err(|_| at.invalid("the tokens are not UTF-8"))?;
+    let found = text.bytes().filter(|&byte| byte == 0).count();
+    cursor.source.claim(found, 2 * size_of::<Arc<str>>())?;
+    if found < token_count {
+        return Err(at.invalid(format!("expected {token_count} tokens, found {found}")));
+    }
+    Ok(text.split('\0').take(token_count).map(Arc::from).collect())
+}
+
+fn read_fields(mut cursor: CrateCursor) -> Result<Vec<(u32, ValueRep)>> {
+    let at = cursor.clone();
+    let count = cursor.count("fields")?;
+    let names = cursor.integers::<i32>(count, "names of fields")?;
+    let values = cursor.lz4(count.saturating_mul(8), "values of fields")?;
+    let values = values.as_chunks().0;
+    if values.len() != count {
+        return Err(at.invalid(format!("expected the values of {count} fields, found {}", values.len())));
+    }
+    cursor.source.claim(count, size_of::<(u32, ValueRep)>())?;
+    let values = values.iter().map(|value| ValueRep(u64::from_le_bytes(*value)));
+    Ok(names.into_iter().map(i32::cast_unsigned).zip(values).collect())
+}
+
+/// The paths by their indices, and the indices in an order in which parents precede their children.
+fn read_paths(mut cursor: CrateCursor) -> Result<(Vec<Option<CratePath>>, Vec<usize>)> {
+    let at = cursor.clone();
+    let path_count = cursor.count("paths")?;
+    let count = cursor.count("paths")?;
+    let indices = cursor.integers::<i32>(count, "paths")?;
+    let names = cursor.integers::<i32>(count, "names of paths")?;
+    let jumps = cursor.integers::<i32>(count, "jumps of paths")?;
+    cursor.source.claim(path_count, size_of::<Option<CratePath>>() + size_of::<usize>())?;
+    let mut paths: Vec<Option<CratePath>> = vec![None; path_count];
+    let mut order = Vec::new();
+    let mut siblings: Vec<(usize, usize)> = Vec::new();
+    let mut next = (count > 0).then_some((0, None));
+    while let Some((entry, parent)) = next {
+        let found = indices.get(entry).and_then(|&index| usize::try_from(index).ok());
+        let place = found.and_then(|index| Some((index, paths.get_mut(index)?)));
+        let (Some((index, place @ None)), true) = (place, order.len() < path_count) else {
+            return Err(at.invalid("the paths do not form a tree"));
+        };
+        let (name, jump) = (names[entry], jumps[entry]);
+        // The layer itself has no name.
+        let parent_index = parent.unwrap_or(index);
+        *place = Some(CratePath { parent: parent_index, token: name.unsigned_abs(), is_property: name < 0 });
+        order.push(index);
+        let has_child = jump > 0 || jump == JUMP_CHILD;
+        let sibling = usize::try_from(jump).ok().map(|jump| entry + jump.max(1));
+        next = match (has_child, sibling) {
+            (true, sibling) => {
+                siblings.extend(sibling.map(|sibling| (sibling, parent_index)));
+                Some((entry + 1, Some(index)))
+            }
+            (false, Some(_)) if jump == JUMP_SIBLING => Some((entry + 1, Some(parent_index))),
+            _ => siblings.pop().map(|(entry, parent)| (entry, Some(parent))),
+        };
+    }
+    Ok((paths, order))
+}
+
+/// For each path, the type of its spec and the index of its first field in the sets.
+fn read_specs(mut cursor: CrateCursor, path_count: usize) -> Result<Vec<Option<(i32, usize)>>> {
+    let at = cursor.clone();
+    let count = cursor.count("specs")?;
+    let paths = cursor.integers::<i32>(count, "paths of specs")?;
+    let firsts = cursor.integers::<i32>(count, "fields of specs")?;
+    let kinds = cursor.integers::<i32>(count, "types of specs")?;
+    cursor.source.claim(path_count, size_of::<Option<(i32, usize)>>())?;
+    let mut specs = vec![None; path_count];
+    for ((path, first), kind) in paths.into_iter().zip(firsts).zip(kinds) {
+        let place = usize::try_from(path).ok().and_then(|path| specs.get_mut(path));
+        let (Some(place), Ok(first)) = (place, usize::try_from(first)) else {
+            return Err(at.invalid("the path or the fields of a spec do not exist"));
+        };
+        *place = Some((kind, first));
+    }
+    Ok(specs)
+}
+
+impl<'a> CrateFile<'a> {
+    /// The prims, variants and properties.
+    fn nodes(&self, order: &[usize], specs: &[Option<(i32, usize)>]) -> Result<Vec<LayerNode>> {
+        let mut nodes = vec![LayerNode::default()];
+        let mut node_of: Vec<Option<usize>> = vec![None; self.paths.len()];
+        for &index in order {
+            let (Some((kind, first)), Some(path)) = (specs[index], self.paths[index]) else { continue };
+            let is = |wanted: SpecType| kind == wanted as i32;
+            if is(SpecType::PseudoRoot) && path.parent == index {
+                nodes[0].fields = NodeFields::Set(first);
+                node_of[index] = Some(0);
+                continue;
+            }
+            let is_attribute = is(SpecType::Attribute);
+            let is_known = is_attribute || is(SpecType::Prim) || kind == VARIANT;
+            let (true, Some(parent)) = (is_known, node_of[path.parent]) else { continue };
+            self.source.claim(1, NODE_BYTES)?;
+            let name = Arc::clone(self.token(path.token)?);
+            let fields = NodeFields::Set(first);
+            let node = LayerNode { name, is_attribute, fields, ..LayerNode::default() };
+            node_of[index] = Some(add_node(&mut nodes, parent, node));
         }
+        match &nodes[0].fields {
+            NodeFields::Set(_) => Ok(nodes),
+            NodeFields::List(_) => Err(Error::invalid(FORMAT, Position::File, "the layer has no root")),
+        }
+    }
+
+    fn token(&self, index: u32) -> Result<&Arc<str>> {
+        let missing = || Error::invalid(FORMAT, Position::File, format!("there is no token {index}"));
+        self.tokens.get(index as usize).ok_or_else(missing)
+    }
+
+    fn string(&self, index: u32) -> Result<&Arc<str>> {
+        let missing = || Error::invalid(FORMAT, Position::File, format!("there is no string {index}"));
+        self.token(*self.strings.get(index as usize).ok_or_else(missing)?)
+    }
+
+    /// A copy of a token, which counts towards the limit.
+    fn owned(&self, word: &str) -> Result<String> {
+        self.source.claim(word.len() + size_of::<String>(), 1)?;
+        Ok(word.to_owned())
+    }
+
+    /// The path with this index as text.
+    fn path(&self, index: u32) -> Result<String> {
+        let (mut index, mut names) = (index as usize, Vec::new());
+        loop {
+            let missing = || Error::invalid(FORMAT, Position::File, format!("there is no path {index}"));
+            // The file does not describe the empty path.
+            let Some(path) = self.paths.get(index).ok_or_else(missing)?.filter(|path| path.parent != index)
+            else {
+                break;
+            };
+            let name = self.token(path.token)?;
+            let start = if path.is_property {
+                "."
+            } else if name.starts_with('{') {
+                ""
+            } else {
+                "/"
+            };
+            names.push(format!("{start}{name}"));
+            self.source.claim(name.len() + size_of::<String>(), 2)?;
+            index = path.parent;
+        }
+        names.reverse();
+        Ok(names.concat())
+    }
+
+    /// The value of the field with this name in a set.
+    pub(crate) fn field(&self, first: usize, name: &str) -> Result<Option<Value>> {
+        let set = self.sets.get(first..).unwrap_or_default();
+        for &index in set.iter().take_while(|&&index| index != SET_END) {
+            let missing = || Error::invalid(FORMAT, Position::File, format!("there is no field {index}"));
+            let (token, rep) = *self.fields.get(index as usize).ok_or_else(missing)?;
+            if **self.token(token)? == *name {
+                return self.value(rep.0, name).map(Some);
+            }
+        }
+        Ok(None)
+    }
+
+    /// Decodes the representation of a value.
+    pub(crate) fn value(&self, rep: u64, what: &str) -> Result<Value> {
+        let rep = ValueRep(rep);
+        let code = rep.type_code();
+        if rep.is_edit() {
+            return Ok(Value::Unread("an edit of an array"));
+        }
+        if rep.is_array() {
+            let is_read = element_type(code).is_some();
+            return Ok(if is_read {
+                Value::Array(ArrayPlace::Binary(rep.0))
+            } else {
+                Value::Unread("an array")
+            });
+        }
+        if let Some(ArrayElement::Numbers(number, arity)) = element_type(code) {
+            return self.numbers(rep, number, arity, what).map(Value::Numbers);
+        }
+        let inlined = u32::try_from(rep.payload()).unwrap_or(u32::MAX);
+        match (rep.is_inlined(), code) {
+            (_, VALUE_BLOCK) => return Ok(Value::Blocked),
+            (true, STRING) => return Ok(Value::Word(self.owned(self.string(inlined)?)?)),
+            (true, TOKEN | ASSET) => return Ok(Value::Word(self.owned(self.token(inlined)?)?)),
+            (true, DICTIONARY) => return Ok(Value::Dictionary(Vec::new())),
+            (true, _) => return Ok(Value::Unread("an inlined value")),
+            (false, _) => {}
+        }
+        let mut cursor = self.source.at(rep.payload())?;
+        let token = |cursor: &mut CrateCursor| self.owned(self.token(cursor.u32("a token")?)?);
+        let string = |cursor: &mut CrateCursor| self.owned(self.string(cursor.u32("a string")?)?);
+        let path = |cursor: &mut CrateCursor| self.path(cursor.u32("a path")?);
+        let arc = |cursor: &mut CrateCursor| self.arc(cursor, true);
+        let payload = |cursor: &mut CrateCursor| self.arc(cursor, false);
+        Ok(match code {
+            DICTIONARY => Value::Dictionary(self.dictionary(&mut cursor)?),
+            TOKEN_LIST => Value::WordEdits(edits(&mut cursor, token)?),
+            STRING_LIST => Value::WordEdits(edits(&mut cursor, string)?),
+            PATH_LIST => Value::WordEdits(edits(&mut cursor, path)?),
+            REFERENCE_LIST => Value::ArcEdits(edits(&mut cursor, arc)?),
+            PAYLOAD_LIST => Value::ArcEdits(edits(&mut cursor, payload)?),
+            PAYLOAD => {
+                let explicit = Some(vec![payload(&mut cursor)?]);
+                Value::ArcEdits(ListEdits { explicit, ..ListEdits::default() })
+            }
+            PATHS => Value::Words(items(&mut cursor, path)?),
+            TOKENS => Value::Words(items(&mut cursor, token)?),
+            STRINGS => Value::Words(items(&mut cursor, string)?),
+            SELECTIONS => Value::Dictionary(items(&mut cursor, |cursor| {
+                Ok((string(cursor)?, Value::Word(string(cursor)?)))
+            })?),
+            OFFSETS => {
+                Value::Offsets(items(&mut cursor, |cursor| Ok([cursor.f64("time")?, cursor.f64("time")?]))?)
+            }
+            TIME_SAMPLES => Value::Samples(Arc::new(self.samples(&mut cursor, what)?)),
+            _ => Value::Unread("a value of a type that is not supported"),
+        })
+    }
+
+    /// A number, vector, matrix or quaternion.
+    fn numbers(&self, rep: ValueRep, number: NumberType, arity: usize, what: &str) -> Result<Vec<f64>> {
+        let (payload, width) = (rep.payload().to_le_bytes(), number.size());
+        let decoded = |number: NumberType, bytes: &[u8]| wide(&number.decode(bytes, Endian::Little));
+        if !rep.is_inlined() {
+            let bytes = self.source.at(rep.payload())?.take((arity * width) as u64, what)?;
+            return Ok(in_order(rep, decoded(number, &bytes)));
+        }
+        Ok(match (number, arity) {
+            (NumberType::F64, 1) => decoded(NumberType::F32, &payload[..4]),
+            (NumberType::I64, 1) => decoded(NumberType::I32, &payload[..4]),
+            (NumberType::U64, 1) => decoded(NumberType::U32, &payload[..4]),
+            _ if arity * width <= 4 => decoded(number, &payload[..arity * width]),
+            // The diagonal of a matrix.
+            (NumberType::F64, 4 | 9 | 16) if (13..=15).contains(&rep.type_code()) => {
+                let side = usize::from(rep.type_code()) - 11;
+                let mut matrix = vec![0.0; arity];
+                for (row, value) in decoded(NumberType::I8, &payload[..side]).into_iter().enumerate() {
+                    matrix[row * (side + 1)] = value;
+                }
+                matrix
+            }
+            _ if arity <= 4 => decoded(NumberType::I8, &payload[..arity]),
+            _ => return Err(unexpected(what)),
+        })
+    }
+
+    /// A dictionary. Those within it are not read.
+    fn dictionary(&self, cursor: &mut CrateCursor) -> Result<Vec<(String, Value)>> {
+        let what = "an entry of a dictionary";
+        items(cursor, |cursor| {
+            let key = self.owned(self.string(cursor.u32(what)?)?)?;
+            cursor.jump(what)?;
+            let rep = cursor.u64(what)?;
+            Ok((key, Value::Array(ArrayPlace::Binary(rep))))
+        })
+    }
+
+    /// The value of an entry of a dictionary.
+    pub(crate) fn entry(&self, entry: &Value, what: &str) -> Result<Value> {
+        match entry {
+            Value::Array(ArrayPlace::Binary(rep)) => self.value(*rep, what),
+            other => Ok(other.clone()),
+        }
+    }
+
+    /// A reference, which has a dictionary, or a payload.
+    fn arc(&self, cursor: &mut CrateCursor, is_reference: bool) -> Result<LayerArc> {
+        let what = "a reference";
+        let asset = self.owned(self.string(cursor.u32(what)?)?)?;
+        let prim = self.path(cursor.u32(what)?)?;
+        let mut retime = [0.0, 1.0];
+        if is_reference || self.version >= [0, 8, 0] {
+            retime = [cursor.f64(what)?, cursor.f64(what)?];
+        }
+        if is_reference {
+            self.dictionary(cursor)?;
+        }
+        Ok(LayerArc { asset, prim, retime })
+    }
+
+    fn samples(&self, cursor: &mut CrateCursor, what: &str) -> Result<TimeSamples> {
+        cursor.jump(what)?;
+        let times = ValueRep(cursor.u64(what)?);
+        cursor.jump(what)?;
+        let at = cursor.clone();
+        let count = cursor.count("time samples")?;
+        let values = cursor.take_all(count, 8, "time samples")?;
+        let values: Vec<u64> = values.as_chunks().0.iter().map(|bytes| u64::from_le_bytes(*bytes)).collect();
+        if (times.type_code(), times.is_inlined()) != (ValueType::DoubleVector as u8, false) {
+            return Err(at.invalid(format!("the times of {what} are not numbers")));
+        }
+        let mut cursor = self.source.at(times.payload())?;
+        let found = cursor.count("times")?;
+        if found != count {
+            return Err(at.invalid(format!("{what} has {count} time samples, but {found} time codes")));
+        }
+        let codes = wide(&NumberType::F64.decode(&cursor.take_all(count, 8, "times")?, Endian::Little));
+        if !codes.is_sorted_by(|a, b| a < b) {
+            return Err(at.invalid(format!("the times of {what} do not increase")));
+        }
+        Ok(TimeSamples { codes, values: SampleValues::Binary(values) })
+    }
+
+    /// The number of values per element of an array, and all values.
+    pub(crate) fn array(&self, rep: u64, what: &str) -> Result<(usize, Values)> {
+        let rep = ValueRep(rep);
+        let kind =
+            element_type(rep.type_code()).filter(|_| rep.is_array()).ok_or_else(|| unexpected(what))?;
+        let mut cursor = self.source.at(rep.payload())?;
+        let count = match rep.payload() {
+            0 => 0,
+            _ => {
+                // Once, arrays could have several dimensions.
+                if self.version < [0, 5, 0] {
+                    cursor.u32(what)?;
+                }
+                let is_narrow = self.version < [0, 7, 0];
+                if is_narrow { cursor.u32(what)? as usize } else { cursor.count(what)? }
+            }
+        };
+        let is_compressed = rep.is_compressed() && count >= COMPRESSED_MIN;
+        match kind {
+            ArrayElement::Words => {
+                let indices = cursor.u32s(count, what)?;
+                let is_token = rep.type_code() == TOKEN;
+                let word =
+                    |index: u32| self.owned(if is_token { self.token(index)? } else { self.string(index)? });
+                let table = indices.into_iter().map(word).collect::<Result<Vec<String>>>()?;
+                let indices = (0..i32::try_from(count).map_err(|_| unexpected(what))?).collect();
+                Ok((1, Values::Strings { table, indices }))
+            }
+            ArrayElement::Numbers(number, 1) if is_compressed => {
+                Ok((1, compressed(&mut cursor, number, count, what)?))
+            }
+            ArrayElement::Numbers(number, arity) => {
+                let bytes = cursor.take_all(count, arity * number.size(), what)?;
+                self.source.claim(bytes.len(), 1)?;
+                Ok((arity, in_order_all(rep, arity, number.decode(&bytes, Endian::Little))))
+            }
+        }
+    }
+}
+
+/// Numbers that are stored as compressed integers, or as a table and indices into it.
+fn compressed(cursor: &mut CrateCursor, number: NumberType, count: usize, what: &str) -> Result<Values> {
+    let source = cursor.source;
+    source.claim(count, 8)?;
+    match number {
+        NumberType::I32 => return Ok(Values::I32(cursor.integers(count, what)?)),
+        NumberType::U32 => {
+            let values = cursor.integers::<i32>(count, what)?.into_iter();
+            return Ok(Values::I64(values.map(|value| value.cast_unsigned().into()).collect()));
+        }
+        NumberType::I64 | NumberType::U64 => {
+            let values = cursor.integers::<i64>(count, what)?;
+            let mut bytes = Vec::new();
+            append_bytes(&values, i64::to_le_bytes, &mut bytes);
+            return Ok(number.decode(&bytes, Endian::Little));
+        }
+        NumberType::F16 | NumberType::F32 | NumberType::F64 => {}
+        _ => return Err(cursor.invalid(format!("{what} cannot be compressed"))),
+    }
+    let at = cursor.clone();
+    let (table, indices) = match cursor.u8(what)? {
+        AS_INTEGERS => {
+            let values = cursor.integers::<i32>(count, what)?.into_iter();
+            return Ok(match number {
+                NumberType::F64 => Values::F64(values.map(f64::from).collect()),
+                _ => Values::F32(values.map(|value| value as f32).collect()),
+            });
+        }
+        AS_TABLE => {
+            let length = cursor.u32(what)? as usize;
+            let bytes = cursor.take_all(length, number.size(), what)?;
+            (number.decode(&bytes, Endian::Little), cursor.integers::<i32>(count, what)?)
+        }
+        code => return Err(at.invalid(format!("unknown compression {code} of {what}"))),
+    };
+    fn gather<T: Copy>(table: &[T], indices: &[i32]) -> Option<Vec<T>> {
+        indices.iter().map(|&index| table.get(usize::try_from(index).ok()?).copied()).collect()
+    }
+    let values = match &table {
+        Values::F32(table) => gather(table, &indices).map(Values::F32),
+        Values::F64(table) => gather(table, &indices).map(Values::F64),
+        _ => None,
+    };
+    values.ok_or_else(|| at.invalid(format!("an index of {what} is beyond the end of its table")))
+}
+
+/// The elements of values with this type; `None` if they are neither numbers nor words.
+fn element_type(code: u8) -> Option<ArrayElement> {
+    use NumberType::{Bool, F16, F32, F64, I32, I64, U8, U32, U64};
+    let (number, arity) = match code {
+        1 => (Bool, 1),
+        2 => (U8, 1),
+        3 | 42..=44 => (I32, 1), // also specifiers, permissions and variabilities
+        4 => (U32, 1),
+        5 => (I64, 1),
+        6 => (U64, 1),
+        7 => (F16, 1),
+        8 => (F32, 1),
+        9 | 56 => (F64, 1), // also time codes
+        STRING | TOKEN | ASSET => return Some(ArrayElement::Words),
+        13 => (F64, 4), // matrices
+        14 => (F64, 9),
+        15 => (F64, 16),
+        16 => (F64, 4), // quaternions
+        17 => (F32, 4),
+        18 => (F16, 4),
+        19..=30 => {
+            let number = [F64, F32, F16, I32][usize::from(code - 19) % 4];
+            (number, 2 + usize::from(code - 19) / 4)
+        }
+        _ => return None,
+    };
+    Some(ArrayElement::Numbers(number, arity))
+}
+
+/// Moves the real part of a quaternion, which is the last number in the file, to the front, as in the text form.
+fn in_order<T>(rep: ValueRep, mut numbers: Vec<T>) -> Vec<T> {
+    if (ValueType::Quatd as u8..=ValueType::Quath as u8).contains(&rep.type_code()) {
+        numbers.chunks_exact_mut(4).for_each(|quaternion| quaternion.rotate_right(1));
+    }
+    numbers
+}
+
+fn in_order_all(rep: ValueRep, arity: usize, values: Values) -> Values {
+    match values {
+        Values::F32(numbers) if arity == 4 => Values::F32(in_order(rep, numbers)),
+        Values::F64(numbers) if arity == 4 => Values::F64(in_order(rep, numbers)),
+        other => other,
+    }
+}
+
+const STRING: u8 = ValueType::String as u8;
+const TOKEN: u8 = ValueType::Token as u8;
+const ASSET: u8 = ValueType::Asset as u8;
+const DICTIONARY: u8 = ValueType::Dictionary as u8;
+const TOKEN_LIST: u8 = ValueType::TokenListOp as u8;
+const STRING_LIST: u8 = ValueType::StringListOp as u8;
+const PATH_LIST: u8 = ValueType::PathListOp as u8;
+const REFERENCE_LIST: u8 = ValueType::ReferenceListOp as u8;
+const PAYLOAD_LIST: u8 = ValueType::PayloadListOp as u8;
+const PAYLOAD: u8 = ValueType::Payload as u8;
+const PATHS: u8 = ValueType::PathVector as u8;
+const TOKENS: u8 = ValueType::TokenVector as u8;
+const STRINGS: u8 = ValueType::StringVector as u8;
+const SELECTIONS: u8 = ValueType::VariantSelectionMap as u8;
+const OFFSETS: u8 = ValueType::LayerOffsetVector as u8;
+const TIME_SAMPLES: u8 = ValueType::TimeSamples as u8;
+const VALUE_BLOCK: u8 = ValueType::ValueBlock as u8;
+
+/// Reads a count and as many items.
+fn items<'c, 'a, T>(
+    cursor: &mut CrateCursor<'c, 'a>,
+    mut item: impl FnMut(&mut CrateCursor<'c, 'a>) -> Result<T>,
+) -> Result<Vec<T>> {
+    let count = cursor.count("items")?;
+    let mut found = Vec::new();
+    for _ in 0..count {
+        cursor.source.claim(1, size_of::<T>())?;
+        found.push(item(cursor)?);
     }
     Ok(found)
 }
 
-/// The offset of the tables of a file, and the tables.
-fn read_tables(file: &mut (impl Read + Seek), limits: &Limits) -> Result<(u64, LayerTables)> {
-    let head = piece(file, 0, BOOTSTRAP_BYTES as u64)?;
-    let at = contents_at(&head)?;
-    let file_bytes = file.seek(SeekFrom::End(0))?;
-    check_contents_at(at, file_bytes)?;
-    let sections = read_contents(&piece(file, at, TABLE_BYTES as u64)?, at)?;
-    let start = sections.iter().map(|(start, _)| *start).min().unwrap_or(at);
-    // The sections lie before the table of contents.
-    let tables_bytes = at.saturating_sub(start);
-    if tables_bytes > TABLES_BYTES_MAX {
-        let what = format!("its tables have {tables_bytes} bytes, more than the limit of {TABLES_BYTES_MAX}");
-        return Err(Error::too_large(FORMAT, what));
-    }
-    let bytes = piece(file, start, tables_bytes)?;
-    let source = Source::of_end(&bytes, start, limits);
-    Ok((start, LayerTables::in_sections(&source, &sections)?))
+/// Reads the edits of a list: which lists there are, and the lists.
+fn edits<'c, 'a, T>(
+    cursor: &mut CrateCursor<'c, 'a>,
+    item: impl Fn(&mut CrateCursor<'c, 'a>) -> Result<T>,
+) -> Result<ListEdits<T>> {
+    let lists = cursor.u8("a list")?;
+    let mut list = |bit: u8| if lists & bit == 0 { Ok(Vec::new()) } else { items(cursor, &item) };
+    let [explicit, added, prepended, mut appended] = [list(2)?, list(4)?, list(32)?, list(64)?];
+    let deleted = list(8)?;
+    list(16)?; // another order
+    appended.extend(added);
+    let explicit = (lists & 1 != 0).then_some(explicit);
+    Ok(ListEdits { explicit, deleted, prepended, appended })
 }
 
-/// Reads the summary of a file of this crate, and the names of its vertex attributes, except normals. Reads
-/// only its two ends.
-///
-/// # Errors
-///
-/// As [`read_sampled_properties`].
-pub fn read_layer_info(file: &mut (impl Read + Seek), limits: &Limits) -> Result<(LayerInfo, Vec<String>)> {
-    let (end, tables) = read_tables(file, limits)?;
-    let data = tables.specs[0].field("customLayerData");
-    // The values of the properties follow this one, except arrays. What it refers to is just before it.
-    let start = data.and_then(|data| data.offset(ValueType::Dictionary)).unwrap_or(end).min(end);
-    let start = start.saturating_sub(NESTED_BYTES_MAX);
-    if end - start > TABLES_BYTES_MAX {
-        let what =
-            format!("its values have {} bytes, more than the limit of {TABLES_BYTES_MAX}", end - start);
-        return Err(Error::too_large(FORMAT, what));
-    }
-    let bytes = piece(file, start, end - start)?;
-    let layer = UsdcLayer::of_parts(Source::of_end(&bytes, start, limits), tables)?;
-    let names = layer.attribute_names().map(str::to_owned).collect();
-    Ok((layer.info(), names))
-}
-
-/// The maximum size of provenance.
-const NESTED_BYTES_MAX: u64 = 64 << 10;
-
-// Reads arrays, and limits the memory that they need.
-
-/// The bytes of a file or of its end, and the number of bytes that were read since
-/// [`Source::start_anew`]. Several values can refer to the same bytes, so all that is read counts towards the
-/// limit of decompressed bytes.
-pub(super) struct Source<'a> {
-    pub(super) bytes: &'a [u8],
-    /// The offset of the bytes in the file.
-    base: u64,
+/// The bytes of a file, and the number of bytes that were read since [`Source::start_anew`].
+pub(crate) struct Source<'a> {
+    file: LayerBytes<'a>,
+    size: u64,
     limits: Limits,
     unpacked: Cell<u64>,
 }
 
 impl<'a> Source<'a> {
-    pub(super) fn new(bytes: &'a [u8], limits: &Limits) -> Source<'a> {
-        Source::of_end(bytes, 0, limits)
-    }
-
-    /// The bytes of a file from the offset `base` on.
-    fn of_end(bytes: &'a [u8], base: u64, limits: &Limits) -> Source<'a> {
-        Source { bytes, base, limits: *limits, unpacked: Cell::new(0) }
-    }
-
-    /// Sets the count of decompressed bytes to 0.
-    fn start_anew(&self) {
+    /// Sets the count of bytes to 0.
+    pub(crate) fn start_anew(&self) {
         self.unpacked.set(0);
     }
 
-    /// A cursor at an offset of the file.
-    pub(super) fn at(&self, offset: u64) -> Result<Cursor<'a>> {
-        let start = offset.checked_sub(self.base).and_then(|start| usize::try_from(start).ok());
-        let start = start.filter(|&start| start <= self.bytes.len()).ok_or_else(|| {
-            let end = self.base + self.bytes.len() as u64;
-            let what = format!(
-                "a value would be at {offset}, but it can only be from {} to the end at {end}",
-                self.base
-            );
-            Error::invalid(FORMAT, Position::Offset(offset), what)
-        })?;
-        Ok(Cursor::new(FORMAT, Endian::Little, self.bytes, start))
+    fn at(&self, offset: u64) -> Result<CrateCursor<'_, 'a>> {
+        if offset > self.size {
+            let what = format!("a value would be at {offset}, beyond the end of the file at {}", self.size);
+            return Err(Error::invalid(FORMAT, Position::Offset(offset), what));
+        }
+        Ok(CrateCursor { source: self, at: offset })
     }
 
     /// Counts bytes that are about to be allocated; fails if the sum exceeds the limit.
-    pub(super) fn claim(&self, count: usize, bytes_each: usize) -> Result<()> {
+    pub(crate) fn claim(&self, count: usize, bytes_each: usize) -> Result<()> {
         let bytes = (count as u64).saturating_mul(bytes_each as u64);
         self.unpacked.set(self.unpacked.get().saturating_add(bytes));
-        self.limits.check_decompressed(FORMAT, self.unpacked.get(), self.bytes.len() as u64)
+        self.limits.check_decompressed(FORMAT, self.unpacked.get(), self.size)
+    }
+}
+
+/// A read position in a file.
+#[derive(Clone)]
+struct CrateCursor<'c, 'a> {
+    source: &'c Source<'a>,
+    at: u64,
+}
+
+impl CrateCursor<'_, '_> {
+    fn invalid(&self, what: impl Into<String>) -> Error {
+        Error::invalid(FORMAT, Position::Offset(self.at), what)
+    }
+
+    fn take(&mut self, length: u64, what: &str) -> Result<Vec<u8>> {
+        let rest = self.source.size - self.at;
+        let length = match usize::try_from(length) {
+            Ok(count) if length <= rest => count,
+            _ => {
+                let what = format!("expected {length} bytes of {what}, found {rest} before the end");
+                return Err(Error::truncated(FORMAT, Position::Offset(self.at), what));
+            }
+        };
+        self.source.claim(length, 1)?;
+        let mut bytes = vec![0; length];
+        self.source.file.read(&mut bytes, self.at)?;
+        self.at += length as u64;
+        Ok(bytes)
+    }
+
+    /// The bytes of `count` elements.
+    fn take_all(&mut self, count: usize, bytes_each: usize, what: &str) -> Result<Vec<u8>> {
+        self.take((count as u64).saturating_mul(bytes_each as u64), what)
+    }
+
+    fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N]> {
+        let mut array = [0; N];
+        if self.source.size - self.at < N as u64 {
+            let what = format!("expected {N} bytes of {what}, found the end");
+            return Err(Error::truncated(FORMAT, Position::Offset(self.at), what));
+        }
+        self.source.file.read(&mut array, self.at)?;
+        self.at += N as u64;
+        Ok(array)
+    }
+
+    fn u8(&mut self, what: &str) -> Result<u8> {
+        Ok(u8::from_le_bytes(self.array(what)?))
+    }
+
+    fn u32(&mut self, what: &str) -> Result<u32> {
+        Ok(u32::from_le_bytes(self.array(what)?))
+    }
+
+    fn u64(&mut self, what: &str) -> Result<u64> {
+        Ok(u64::from_le_bytes(self.array(what)?))
+    }
+
+    fn f64(&mut self, what: &str) -> Result<f64> {
+        Ok(f64::from_le_bytes(self.array(what)?))
+    }
+
+    /// Reads an offset, relative to where it is, and continues there.
+    fn jump(&mut self, what: &str) -> Result<()> {
+        let start = self.at;
+        let offset = i64::from_le_bytes(self.array(what)?);
+        let target = start.checked_add_signed(offset).filter(|target| *target <= self.source.size);
+        self.at = target.ok_or_else(|| self.invalid(format!("{what} would be outside the file")))?;
+        Ok(())
+    }
+
+    /// Reads a 64-bit count.
+    fn count(&mut self, what: &str) -> Result<usize> {
+        let at = self.clone();
+        let count = self.u64(what)?;
+        usize::try_from(count)
+            .map_err(|_| at.invalid(format!("{count} {what} are more than a file can hold")))
+    }
+
+    fn u32s(&mut self, count: usize, what: &str) -> Result<Vec<u32>> {
+        let bytes = self.take_all(count, 4, what)?;
+        self.source.claim(bytes.len(), 1)?;
+        Ok(bytes.as_chunks().0.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect())
     }
 
     /// Reads a size and as many compressed bytes, and decompresses them to at most `bytes_max` bytes.
-    pub(super) fn lz4(&self, cursor: &mut Cursor, bytes_max: usize, what: &str) -> Result<Vec<u8>> {
-        let size = count(cursor, what)?;
-        let at = cursor.clone();
-        let packed = cursor.take(size, what)?;
-        self.claim(bytes_max, 1)?;
+    fn lz4(&mut self, bytes_max: usize, what: &str) -> Result<Vec<u8>> {
+        let size = self.u64(what)?;
+        let at = self.clone();
+        let packed = self.take(size, what)?;
+        self.source.claim(bytes_max, 1)?;
         let mut out = vec![0; bytes_max];
-        let length = decompress(packed, &mut out)
+        let length = decompress(&packed, &mut out)
             .ok_or_else(|| at.invalid(format!("the compressed {what} are damaged")))?;
         out.truncate(length);
         Ok(out)
     }
 
     /// Reads a size and `count` compressed integers.
-    pub(super) fn integers<T: Integer>(
-        &self,
-        cursor: &mut Cursor,
-        count: usize,
-        what: &str,
-    ) -> Result<Vec<T>> {
-        let at = cursor.clone();
+    fn integers<T: Integer>(&mut self, count: usize, what: &str) -> Result<Vec<T>> {
+        let at = self.clone();
         let bytes_max = encoded_bytes_max::<T>(count)
             .ok_or_else(|| at.invalid(format!("{count} {what} are more than a file can hold")))?;
-        self.claim(count, T::CODE_BYTES[2])?;
-        let encoded = self.lz4(cursor, bytes_max, what)?;
+        self.source.claim(count, T::CODE_BYTES[2])?;
+        let encoded = self.lz4(if count == 0 { 0 } else { bytes_max }, what)?;
         decode(&encoded, count).ok_or_else(|| at.invalid(format!("expected {count} compressed {what}")))
     }
-
-    /// The start of an array of this type, and whether it is compressed; `None` if it is empty.
-    fn array(&self, rep: ValueRep, kind: ValueType, what: &str) -> Result<Option<(Cursor<'a>, bool)>> {
-        match rep.array_offset(kind) {
-            Some((0, _)) => Ok(None),
-            Some((offset, is_compressed)) => Ok(Some((self.at(offset)?, is_compressed))),
-            None => Err(unexpected(what)),
-        }
-    }
-
-    /// The numbers of an array of integers, or of vectors of `arity` integers.
-    fn read_integers<T: Integer>(
-        &self,
-        rep: ValueRep,
-        (kind, arity): (ValueType, usize),
-        what: &str,
-    ) -> Result<Vec<T>> {
-        let Some((mut cursor, is_compressed)) = self.array(rep, kind, what)? else { return Ok(Vec::new()) };
-        let count = count(&mut cursor, what)?;
-        if is_compressed && arity == 1 && count >= COMPRESSED_MIN {
-            return self.integers(&mut cursor, count, what);
-        }
-        let width = T::CODE_BYTES[2];
-        let bytes = self.elements(&mut cursor, count, arity * width, what)?;
-        let widened = |bytes: &[u8]| {
-            let mut all = [0; 8];
-            all[..width].copy_from_slice(bytes);
-            T::lowest(i64::from_le_bytes(all))
-        };
-        Ok(bytes.chunks_exact(width).map(widened).collect())
-    }
-
-    /// The numbers of an array of vectors of `arity` floats.
-    fn read_floats(&self, rep: ValueRep, arity: usize, what: &str) -> Result<Vec<f32>> {
-        let kind = match arity {
-            1 => ValueType::Float,
-            2 => ValueType::Vec2f,
-            3 => ValueType::Vec3f,
-            _ => ValueType::Vec4f,
-        };
-        let Some((mut cursor, is_compressed)) = self.array(rep, kind, what)? else { return Ok(Vec::new()) };
-        let count = count(&mut cursor, what)?;
-        if !is_compressed || arity != 1 || count < COMPRESSED_MIN {
-            return Ok(floats(self.elements(&mut cursor, count, 4 * arity, what)?));
-        }
-        let at = cursor.clone();
-        match cursor.u8(what)? {
-            AS_INTEGERS => {
-                let integers: Vec<i32> = self.integers(&mut cursor, count, what)?;
-                Ok(integers.into_iter().map(|value| value as f32).collect())
-            }
-            AS_TABLE => {
-                let length = cursor.u32(what)? as usize;
-                let table = floats(self.elements(&mut cursor, length, 4, what)?);
-                let indices: Vec<i32> = self.integers(&mut cursor, count, what)?;
-                let value = |index: i32| table.get(usize::try_from(index).ok()?).copied();
-                let values: Option<Vec<f32>> = indices.into_iter().map(value).collect();
-                values.ok_or_else(|| at.invalid(format!("an index of {what} is beyond the end of its table")))
-            }
-            code => Err(at.invalid(format!("unknown compression {code} of {what}"))),
-        }
-    }
-
-    /// The bytes of `count` elements.
-    fn elements(
-        &self,
-        cursor: &mut Cursor<'a>,
-        count: usize,
-        bytes_each: usize,
-        what: &str,
-    ) -> Result<&'a [u8]> {
-        let bytes = cursor.take(count.saturating_mul(bytes_each), what)?;
-        self.claim(bytes.len(), 1)?;
-        Ok(bytes)
-    }
-
-    /// The indices of an array of tokens or strings.
-    fn read_indices(&self, rep: ValueRep, kind: ValueType, what: &str) -> Result<Vec<u32>> {
-        let indices: Vec<i32> = self.read_integers(rep, (kind, 1), what)?;
-        Ok(indices.into_iter().map(i32::cast_unsigned).collect())
-    }
-}
-
-/// Reads a 64-bit count.
-pub(super) fn count(cursor: &mut Cursor, what: &str) -> Result<usize> {
-    let at = cursor.clone();
-    let count = cursor.u64(what)?;
-    usize::try_from(count).map_err(|_| at.invalid(format!("{count} {what} are more than a file can hold")))
-}
-
-fn floats(bytes: &[u8]) -> Vec<f32> {
-    bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
-}
-
-/// The error for a value that is missing or has another type.
-pub(super) fn unexpected(what: &str) -> Error {
-    Error::invalid(FORMAT, Position::File, format!("the value of {what} is missing, or has another type"))
 }

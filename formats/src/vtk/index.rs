@@ -18,12 +18,13 @@ use quick_xml::events::Event;
 use serde::Deserialize;
 
 use super::xml::{attribute, check_end, neighbor, neighbor_of_type, utf8};
-use super::{INDEX, POLYGONS_NOTE, VtkPiece, joined, legacy, xml};
+use super::{INDEX, POLYGONS_NOTE, joined, legacy, xml};
 use crate::batches::read as read_bytes;
 use crate::container::{ContainerFile, ContainerReader, Sample, folder_of, further_path};
 use crate::data::{FileAttribute, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
+use crate::named_arrays::ParticlePart;
 use crate::neighbor::Neighbor;
 use crate::probe::{ProbedKind, probe};
 use crate::read_particles;
@@ -195,9 +196,9 @@ struct FrameParts<'a> {
     is_alone: bool,
     file_count: usize,
     point_count: u64,
-    particles: Vec<VtkPiece>,
+    particles: Vec<ParticlePart>,
     /// The files whose points are the corners of faces.
-    meshes: Vec<(String, Vec<VtkPiece>)>,
+    meshes: Vec<(String, Vec<ParticlePart>)>,
     /// The only file, in another format.
     other: Option<ParticleFrame>,
     notes: Vec<String>,

@@ -21,14 +21,14 @@
 
 use super::blocks::decimals;
 use super::{
-    LEGACY, POLYGON, POLYGONS_NOTE, Points, TRIANGLE_STRIP, VtkPiece, add_cells, checked_count, integers,
-    is_face, joined, positions_of,
+    LEGACY, POLYGON, POLYGONS_NOTE, Points, TRIANGLE_STRIP, add_cells, checked_count, integers, is_face,
+    joined, positions_of,
 };
 use crate::bytes::Endian;
 use crate::data::{FilePositions, MeshData, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::NamedArray;
+use crate::named_arrays::{NamedArray, ParticlePart};
 use crate::number::NumberType;
 use crate::text::excerpt;
 
@@ -50,7 +50,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 ///
 /// # Errors
 /// Those of [`read`].
-pub(super) fn read_piece(bytes: &[u8], limits: &Limits) -> Result<(VtkPiece, Vec<String>)> {
+pub(super) fn read_piece(bytes: &[u8], limits: &Limits) -> Result<(ParticlePart, Vec<String>)> {
     let mut file = File { bytes, at: 0, is_binary: false, limits };
     file.head()?;
     let mut found = LegacyData::default();
@@ -61,7 +61,7 @@ pub(super) fn read_piece(bytes: &[u8], limits: &Limits) -> Result<(VtkPiece, Vec
         found.notes.push(POLYGONS_NOTE.into());
     }
     let positions = found.positions.ok_or_else(|| file.truncated("the file ends before any POINTS"))?;
-    Ok((VtkPiece { positions, arrays: found.arrays }, found.notes))
+    Ok((ParticlePart { positions, arrays: found.arrays }, found.notes))
 }
 
 /// Reads the points and the polygons, without normals. Polygons with more than three corners become triangle

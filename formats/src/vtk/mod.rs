@@ -24,15 +24,14 @@ use crate::batches::ReadAt;
 use crate::data::{FilePositions, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, frame_of};
+use crate::named_arrays::{ParticlePart, frame_of, joined_parts};
 use crate::neighbor::Neighbor;
-use crate::number::{self, append};
+use crate::number;
 use crate::options::WriteOption;
 use crate::provenance::from_strings;
 use crate::row::{
     Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleReader, ParticleWriter,
 };
-use crate::text::excerpt;
 use legacy::size_of_type;
 use write::ends_as_written;
 
@@ -96,13 +95,6 @@ const INDEX_EXTENSIONS: &[&str] = &[
 /// The note for files that also contain a mesh.
 pub const POLYGONS_NOTE: &str = "the file also has polygons, which are ignored: only its points are read";
 
-/// The points of a piece, and the arrays that have a value for each.
-#[derive(Debug, Default)]
-pub(crate) struct VtkPiece {
-    pub(crate) positions: FilePositions,
-    pub(crate) arrays: Vec<NamedArray>,
-}
-
 /// Converts the number of points to a length, within the limits.
 fn checked_count(format: &'static str, count: u64, limits: &Limits) -> Result<usize> {
     limits.check_particles(format, count)?;
@@ -117,28 +109,11 @@ fn positions_of(format: &'static str, values: Values) -> Result<FilePositions> {
     number::positions(values).ok_or_else(no_numbers)
 }
 
-/// Joins all points. Skips arrays that are missing in a piece or differ in type, with a note.
-pub(crate) fn joined(pieces: Vec<VtkPiece>, mut notes: Vec<String>) -> ParticleFrame {
-    let mut pieces = pieces.into_iter().filter(|piece| !piece.positions.is_empty());
-    let mut all = pieces.next().unwrap_or_default();
-    for piece in pieces {
-        all.positions.append(piece.positions);
-        let mut more = piece.arrays;
-        all.arrays.retain_mut(|array| {
-            let same = |other: &NamedArray| other.name == array.name && other.arity == array.arity;
-            let found = more.iter().position(same).map(|index| more.swap_remove(index));
-            let is_kept = found.is_some_and(|found| append(&mut array.values, found.values));
-            if !is_kept {
-                notes.push(format!(
-                    "skipped the array `{}`: it is not the same in all pieces",
-                    excerpt(&array.name)
-                ));
-            }
-            is_kept
-        });
-    }
+/// Joins all points.
+pub(crate) fn joined(pieces: Vec<ParticlePart>, mut notes: Vec<String>) -> ParticleFrame {
+    let ParticlePart { positions, arrays } = joined_parts(pieces, "pieces", &mut notes);
     // `frame_of` always returns a frame if it gets positions.
-    let mut frame = frame_of(Some(all.positions), all.arrays).unwrap_or_default();
+    let mut frame = frame_of(Some(positions), arrays).unwrap_or_default();
     frame.notes.append(&mut notes);
     frame
 }

@@ -21,14 +21,14 @@ use quick_xml::events::{BytesStart, Event};
 
 use super::blocks::{ArrayDecoder, ArrayEncoding, ArrayForm, BlockCompression, DataArray, EncodedArray};
 use super::{
-    POLYGON, POLYGONS_NOTE, Points, TRIANGLE_STRIP, VtkPiece, XML, add_cells, checked_count, integers,
-    is_face, joined, positions_of,
+    POLYGON, POLYGONS_NOTE, Points, TRIANGLE_STRIP, XML, add_cells, checked_count, integers, is_face, joined,
+    positions_of,
 };
 use crate::bytes::Endian;
 use crate::data::{FilePositions, MeshData, ParticleFrame};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::NamedArray;
+use crate::named_arrays::{NamedArray, ParticlePart};
 use crate::neighbor::Neighbor;
 use crate::number::NumberType;
 use crate::text::excerpt;
@@ -49,7 +49,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 ///
 /// # Errors
 /// Those of [`read`].
-pub(super) fn read_pieces(bytes: &[u8], limits: &Limits) -> Result<(Vec<VtkPiece>, Vec<String>)> {
+pub(super) fn read_pieces(bytes: &[u8], limits: &Limits) -> Result<(Vec<ParticlePart>, Vec<String>)> {
     let (mut decoder, pieces, mut notes) = open(bytes, limits)?;
     let mut has_faces = pieces.iter().any(|piece| piece.poly_count > 0 || piece.strip_count > 0);
     for piece in &pieces {
@@ -63,7 +63,7 @@ pub(super) fn read_pieces(bytes: &[u8], limits: &Limits) -> Result<(Vec<VtkPiece
     if has_faces {
         notes.push(POLYGONS_NOTE.into());
     }
-    let pieces: Vec<VtkPiece> =
+    let pieces: Vec<ParticlePart> =
         pieces.iter().map(|described| piece(described, &mut decoder, &mut notes)).collect::<Result<_>>()?;
     // A limit for each piece does not limit their total.
     checked_count(XML, pieces.iter().map(|piece| piece.positions.len() as u64).sum(), limits)?;
@@ -431,10 +431,10 @@ pub(crate) fn attribute(tag: &BytesStart, name: &str, at: u64) -> Result<Option<
     Ok(Some(value.into_owned()))
 }
 
-fn piece(described: &Described, decoder: &mut ArrayDecoder, notes: &mut Vec<String>) -> Result<VtkPiece> {
+fn piece(described: &Described, decoder: &mut ArrayDecoder, notes: &mut Vec<String>) -> Result<ParticlePart> {
     let count = described.point_count;
     if count == 0 {
-        return Ok(VtkPiece::default());
+        return Ok(ParticlePart::default());
     }
     let positions = points_of(described, decoder)?;
     let mut arrays = Vec::new();
@@ -446,7 +446,7 @@ fn piece(described: &Described, decoder: &mut ArrayDecoder, notes: &mut Vec<Stri
         let values = decoder.values(array, number, count)?;
         arrays.push(NamedArray { name: array.name.clone(), arity: array.arity, values });
     }
-    Ok(VtkPiece { positions, arrays })
+    Ok(ParticlePart { positions, arrays })
 }
 
 /// The positions of the points of a piece.

@@ -1,0 +1,345 @@
+//! A layer of USD in memory: what both the text form and the binary form contain.
+//!
+//! ```text
+//!   Layer ── node 0 (the layer itself) ─┬─ prim "World" ─┬─ prim "water" ─┬─ property "points"
+//!                                       │                │                └─ property "primvars:id"
+//!                                       │                └─ variant "{size=big}" ── ..
+//!                                       └─ ..
+//!   node ── fields: "specifier", "typeName", "default", "timeSamples", "references", ..
+//! ```
+//!
+//! Arrays stay in the file until [`Layer::array`] reads one.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use super::FORMAT;
+use super::package::LayerBytes;
+use crate::data::Values;
+use crate::error::{Error, Position, Result};
+use crate::limits::Limits;
+use crate::named_arrays::{NamedArray, widened};
+use crate::number::NumberType;
+use crate::usda::TextFile;
+use crate::usdc::CrateFile;
+
+/// A layer.
+pub(crate) struct Layer<'a> {
+    pub(crate) source: LayerSource<'a>,
+    /// The first one is the layer itself.
+    pub(crate) nodes: Vec<LayerNode>,
+}
+
+/// The file of a layer.
+pub(crate) enum LayerSource<'a> {
+    Binary(CrateFile<'a>),
+    Text(TextFile<'a>),
+}
+
+/// A prim, a variant, or a property.
+#[derive(Default)]
+pub(crate) struct LayerNode {
+    pub(crate) name: Arc<str>,
+    pub(crate) is_attribute: bool,
+    pub(crate) fields: NodeFields,
+    /// Prims, variants (named `{set=variant}`) and properties, in the order of the file.
+    pub(crate) order: Vec<usize>,
+    pub(crate) children: HashMap<Arc<str>, usize>,
+}
+
+/// The fields of a node.
+pub(crate) enum NodeFields {
+    /// In a binary file: the index of the first one in its table of field sets.
+    Set(usize),
+    /// In a text.
+    List(Vec<(String, Value)>),
+}
+
+impl Default for NodeFields {
+    fn default() -> NodeFields {
+        NodeFields::List(Vec::new())
+    }
+}
+
+/// What a node takes in memory, about.
+pub(crate) const NODE_BYTES: usize = 256;
+
+/// The value of a field.
+#[derive(Clone, Debug)]
+pub(crate) enum Value {
+    /// There is explicitly no value.
+    Blocked,
+    /// A number, a vector, a matrix row by row, or a quaternion, real part first.
+    Numbers(Vec<f64>),
+    /// A string, a token, a path, or the path of a file.
+    Word(String),
+    Words(Vec<String>),
+    Array(ArrayPlace),
+    Samples(Arc<TimeSamples>),
+    Dictionary(Vec<(String, Value)>),
+    WordEdits(ListEdits<String>),
+    ArcEdits(ListEdits<LayerArc>),
+    /// The offset and scale of the time of each sublayer.
+    Offsets(Vec<[f64; 2]>),
+    /// A value of a kind that is not read.
+    Unread(&'static str),
+}
+
+/// Where an array is in its file.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum ArrayPlace {
+    /// The bits that represent a value in a binary file.
+    Binary(u64),
+    /// Its elements, the first and the end of its bytes, and its line.
+    Text(ArrayElement, u64, u64, u64),
+}
+
+/// The elements of an array.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum ArrayElement {
+    /// Numbers, or vectors of several.
+    Numbers(NumberType, usize),
+    Words,
+}
+
+/// The values of a property over time, in the order of time codes.
+#[derive(Debug)]
+pub(crate) struct TimeSamples {
+    pub(crate) codes: Vec<f64>,
+    pub(crate) values: SampleValues,
+}
+
+/// The values at the time codes.
+#[derive(Debug)]
+pub(crate) enum SampleValues {
+    /// The bits that represent them in a binary file.
+    Binary(Vec<u64>),
+    Text(Vec<Value>),
+}
+
+/// A reference or a payload, or a sublayer.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct LayerArc {
+    /// The path of the file; empty for the same layer.
+    pub(crate) asset: String,
+    /// The path of the prim; empty for the default one.
+    pub(crate) prim: String,
+    /// The offset and scale of its time.
+    pub(crate) retime: [f64; 2],
+}
+
+/// An edit of the list in weaker layers.
+#[derive(Clone, Debug)]
+pub(crate) struct ListEdits<T> {
+    /// Replaces the list.
+    pub(crate) explicit: Option<Vec<T>>,
+    pub(crate) deleted: Vec<T>,
+    pub(crate) prepended: Vec<T>,
+    pub(crate) appended: Vec<T>,
+}
+
+impl<T> Default for ListEdits<T> {
+    fn default() -> ListEdits<T> {
+        ListEdits { explicit: None, deleted: Vec::new(), prepended: Vec::new(), appended: Vec::new() }
+    }
+}
+
+impl<T: Clone + PartialEq> ListEdits<T> {
+    /// The edited list.
+    pub(crate) fn apply(&self, list: Vec<T>) -> Vec<T> {
+        if let Some(explicit) = &self.explicit {
+            return explicit.clone();
+        }
+        let is_edited =
+            |item: &T| [&self.deleted, &self.prepended, &self.appended].iter().any(|l| l.contains(item));
+        let kept = list.into_iter().filter(|item| !is_edited(item));
+        self.prepended.iter().cloned().chain(kept).chain(self.appended.iter().cloned()).collect()
+    }
+
+    /// The same edit of other items.
+    pub(crate) fn map<U>(&self, mut convert: impl FnMut(&T) -> Result<U>) -> Result<ListEdits<U>> {
+        let mut all = |items: &[T]| items.iter().map(&mut convert).collect::<Result<Vec<U>>>();
+        Ok(ListEdits {
+            explicit: self.explicit.as_deref().map(&mut all).transpose()?,
+            deleted: all(&self.deleted)?,
+            prepended: all(&self.prepended)?,
+            appended: all(&self.appended)?,
+        })
+    }
+}
+
+impl<'a> Layer<'a> {
+    /// Reads the structure of a text or a binary layer.
+    ///
+    /// # Errors
+    /// [`Error::Unsupported`] if it is neither; otherwise those of its form.
+    pub(crate) fn read(file: LayerBytes<'a>, limits: &Limits) -> Result<Layer<'a>> {
+        match &file.head()? {
+            b"#usda" => crate::usda::read_layer(file, limits),
+            _ => crate::usdc::read_layer(file, limits),
+        }
+    }
+
+    /// The child of a node with this name.
+    pub(crate) fn child(&self, node: usize, name: &str) -> Option<usize> {
+        self.nodes[node].children.get(name).copied()
+    }
+
+    /// The value of a field.
+    pub(crate) fn field(&self, node: usize, name: &str) -> Result<Option<Value>> {
+        match (&self.nodes[node].fields, &self.source) {
+            (NodeFields::Set(first), LayerSource::Binary(file)) => file.field(*first, name),
+            (NodeFields::List(fields), _) => {
+                Ok(fields.iter().find(|(field, _)| field == name).map(|(_, value)| value.clone()))
+            }
+            (NodeFields::Set(_), LayerSource::Text(_)) => Ok(None),
+        }
+    }
+
+    /// The string, token or path in a field.
+    pub(crate) fn word(&self, node: usize, name: &str) -> Result<Option<String>> {
+        Ok(match self.field(node, name)? {
+            Some(Value::Word(word)) => Some(word),
+            _ => None,
+        })
+    }
+
+    /// The first number in a field.
+    pub(crate) fn number(&self, node: usize, name: &str) -> Result<Option<f64>> {
+        Ok(self.field(node, name)?.and_then(|value| value.number()))
+    }
+
+    /// The strings in a value.
+    pub(crate) fn words(&self, value: &Value) -> Result<Vec<String>> {
+        Ok(match value {
+            Value::Word(word) => vec![word.clone()],
+            Value::Words(words) => words.clone(),
+            Value::Array(place) => match self.array(place, "strings")?.values {
+                Values::Strings { table, .. } => table,
+                _ => Vec::new(),
+            },
+            _ => Vec::new(),
+        })
+    }
+
+    /// The names of the prims below a node.
+    pub(crate) fn prim_names(&self, node: usize) -> Result<Vec<String>> {
+        if let NodeFields::Set(_) = self.nodes[node].fields
+            && let Some(Value::Words(names)) = self.field(node, "primChildren")?
+        {
+            return Ok(names);
+        }
+        let is_prim = |child: &&usize| {
+            !self.nodes[**child].name.starts_with('{') && self.nodes[**child].fields.has("specifier")
+        };
+        Ok(self.nodes[node]
+            .order
+            .iter()
+            .filter(is_prim)
+            .map(|child| self.nodes[*child].name.to_string())
+            .collect())
+    }
+
+    /// Reads an array. The table of strings has an element for each element of the array.
+    pub(crate) fn array(&self, place: &ArrayPlace, name: &str) -> Result<NamedArray> {
+        let (arity, values) = match (place, &self.source) {
+            (ArrayPlace::Binary(rep), LayerSource::Binary(file)) => file.array(*rep, name)?,
+            (ArrayPlace::Text(kind, start, end, line), LayerSource::Text(file)) => {
+                file.array(*kind, *start..*end, *line)?
+            }
+            _ => return Err(unexpected(name)),
+        };
+        Ok(NamedArray { name: name.to_owned(), arity, values })
+    }
+
+    /// The value of a sample.
+    pub(crate) fn sample(&self, samples: &TimeSamples, index: usize) -> Result<Value> {
+        match (&samples.values, &self.source) {
+            (SampleValues::Binary(reps), LayerSource::Binary(file)) => {
+                file.value(reps.get(index).copied().ok_or_else(|| unexpected("a sample"))?, "a sample")
+            }
+            (SampleValues::Text(values), _) => {
+                values.get(index).cloned().ok_or_else(|| unexpected("a sample"))
+            }
+            _ => Err(unexpected("a sample")),
+        }
+    }
+
+    /// The sublayers, strongest first.
+    pub(crate) fn sublayers(&self) -> Result<Vec<LayerArc>> {
+        let offsets = match self.field(0, "subLayerOffsets")? {
+            Some(Value::Offsets(offsets)) => offsets,
+            _ => Vec::new(),
+        };
+        Ok(match self.field(0, "subLayers")? {
+            Some(Value::ArcEdits(edits)) => edits.apply(Vec::new()),
+            Some(Value::Words(assets)) => {
+                let arc = |(index, asset): (usize, String)| LayerArc {
+                    asset,
+                    prim: String::new(),
+                    retime: offsets.get(index).copied().unwrap_or([0.0, 1.0]),
+                };
+                assets.into_iter().enumerate().map(arc).collect()
+            }
+            _ => Vec::new(),
+        })
+    }
+
+    /// Sets the count of decompressed bytes to 0.
+    pub(crate) fn start_anew(&self) {
+        match &self.source {
+            LayerSource::Binary(file) => file.source.start_anew(),
+            LayerSource::Text(file) => file.start_anew(),
+        }
+    }
+}
+
+/// Adds a node, or returns the one that has this name.
+pub(crate) fn add_node(nodes: &mut Vec<LayerNode>, parent: usize, node: LayerNode) -> usize {
+    let index = nodes.len();
+    let found = *nodes[parent].children.entry(Arc::clone(&node.name)).or_insert(index);
+    if found == index {
+        nodes[parent].order.push(index);
+        nodes.push(node);
+    }
+    found
+}
+
+impl NodeFields {
+    /// Whether a text has a field.
+    pub(crate) fn has(&self, name: &str) -> bool {
+        matches!(self, NodeFields::List(fields) if fields.iter().any(|(field, _)| field == name))
+    }
+
+    /// Sets a field of a text.
+    pub(crate) fn set(&mut self, name: &str, value: Value) {
+        let NodeFields::List(fields) = self else { return };
+        match fields.iter_mut().find(|(field, _)| field == name) {
+            Some((_, old)) => *old = value,
+            None => fields.push((name.to_owned(), value)),
+        }
+    }
+}
+
+impl Value {
+    /// The first number.
+    pub(crate) fn number(&self) -> Option<f64> {
+        match self {
+            Value::Numbers(numbers) => numbers.first().copied(),
+            _ => None,
+        }
+    }
+}
+
+/// All values as 64-bit floats.
+pub(crate) fn wide(values: &Values) -> Vec<f64> {
+    match widened(values) {
+        Some(Values::F64(values)) => values,
+        _ => Vec::new(),
+    }
+}
+
+/// The error for a value that is missing or has another type.
+pub(crate) fn unexpected(what: &str) -> Error {
+    Error::invalid(FORMAT, Position::File, format!("the value of {what} is missing, or has another type"))
+}

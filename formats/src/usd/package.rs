@@ -1,0 +1,137 @@
+//! A `.usdz`: a ZIP archive whose files are stored as they are, so that each can be read in place. The first
+//! one is the layer of the stage.
+
+use std::io;
+use std::rc::Rc;
+
+use super::FORMAT;
+use crate::batches::ReadAt;
+use crate::bytes::{Cursor, Endian};
+use crate::error::{Error, Position, Result};
+use crate::npy::{ArchiveMember, STORED, directory, entries};
+use crate::text::excerpt;
+
+/// The bytes of a layer: a file, or a part of one.
+#[derive(Clone)]
+pub(crate) struct LayerBytes<'a> {
+    file: SharedFile<'a>,
+    start: u64,
+    pub(crate) length: u64,
+}
+
+#[derive(Clone)]
+enum SharedFile<'a> {
+    First(&'a dyn ReadAt),
+    Bytes(&'a [u8]),
+    Further(Rc<dyn ReadAt>),
+}
+
+impl<'a> LayerBytes<'a> {
+    /// The file that is read.
+    pub(crate) fn first(file: &'a dyn ReadAt) -> Result<LayerBytes<'a>> {
+        Ok(LayerBytes { file: SharedFile::First(file), start: 0, length: file.size_bytes()? })
+    }
+
+    /// A file in memory.
+    pub(crate) fn of_slice(bytes: &'a [u8]) -> LayerBytes<'a> {
+        LayerBytes { file: SharedFile::Bytes(bytes), start: 0, length: bytes.len() as u64 }
+    }
+
+    /// A file to which a layer refers.
+    pub(crate) fn further(file: Box<dyn ReadAt>) -> Result<LayerBytes<'a>> {
+        let length = file.size_bytes()?;
+        Ok(LayerBytes { file: SharedFile::Further(file.into()), start: 0, length })
+    }
+
+    /// Fills `out` with the bytes from `offset` on.
+    pub(crate) fn read(&self, out: &mut [u8], offset: u64) -> Result<()> {
+        let end = offset.checked_add(out.len() as u64).filter(|end| *end <= self.length);
+        end.ok_or(io::Error::from(io::ErrorKind::UnexpectedEof))?;
+        match &self.file {
+            SharedFile::First(file) => file.read_exact_at(out, self.start + offset)?,
+            SharedFile::Bytes(bytes) => bytes.read_exact_at(out, self.start + offset)?,
+            SharedFile::Further(file) => file.read_exact_at(out, self.start + offset)?,
+        }
+        Ok(())
+    }
+
+    /// The first bytes, at most `N`; zeros beyond the end.
+    pub(crate) fn head<const N: usize>(&self) -> Result<[u8; N]> {
+        let mut head = [0; N];
+        let length = usize::try_from(self.length).unwrap_or(N).min(N);
+        self.read(&mut head[..length], 0)?;
+        Ok(head)
+    }
+
+    fn piece(&self, at: u64, length: u64) -> Result<Vec<u8>> {
+        let too_large = |_| Error::too_large(FORMAT, "the package is too large");
+        let mut bytes = vec![0; usize::try_from(length).map_err(too_large)?];
+        self.read(&mut bytes, at)?;
+        Ok(bytes)
+    }
+}
+
+/// An open package: its files with their names, the first one first.
+pub(crate) struct Package<'a> {
+    pub(crate) files: Vec<(String, LayerBytes<'a>)>,
+}
+
+/// More than the end of an archive has: its comment, and the records before it.
+const TAIL_BYTES: u64 = 70 << 10;
+
+/// The largest central directory.
+const DIRECTORY_BYTES_MAX: u64 = 16 << 20;
+
+const LOCAL_BYTES: u64 = 30;
+
+impl<'a> Package<'a> {
+    /// Reads the list of files.
+    ///
+    /// # Errors
+    /// [`Error::Truncated`] without a central directory; [`Error::Invalid`] if it is damaged;
+    /// [`Error::Unsupported`] if a file is compressed.
+    pub(crate) fn read(file: &LayerBytes<'a>) -> Result<Package<'a>> {
+        let size = file.length;
+        let tail_start = size.saturating_sub(TAIL_BYTES);
+        let tail = file.piece(tail_start, size - tail_start)?;
+        let (count, start) = directory(&tail, tail_start).map_err(|error| error.with_format(FORMAT))?;
+        let length = size.saturating_sub(start);
+        if length > DIRECTORY_BYTES_MAX {
+            let what = format!("the list of files is longer than the limit of {DIRECTORY_BYTES_MAX} bytes");
+            return Err(Error::too_large(FORMAT, what));
+        }
+        let bytes = file.piece(start.min(size), length)?;
+        let mut files = Vec::new();
+        for member in entries(&bytes, count).map_err(|error| error.with_format(FORMAT))? {
+            let ArchiveMember { name, method, bytes: length, local_offset, .. } = member;
+            if method != STORED {
+                let what = format!(
+                    "the file `{}` of the package is compressed, which .usdz does not allow",
+                    excerpt(&name)
+                );
+                return Err(Error::unsupported(FORMAT, what));
+            }
+            let beyond = || {
+                let what = format!("the file `{}` is beyond the end of the package", excerpt(&name));
+                Error::invalid(FORMAT, Position::Offset(local_offset), what)
+            };
+            let after_header = local_offset.checked_add(LOCAL_BYTES).filter(|end| *end <= size);
+            let after_header = after_header.ok_or_else(beyond)?;
+            let head = file.piece(local_offset, LOCAL_BYTES)?;
+            let mut cursor = Cursor::new(FORMAT, Endian::Little, &head, 26);
+            let lengths = [cursor.u16("a length")?, cursor.u16("a length")?].map(u64::from);
+            let start = after_header + lengths[0] + lengths[1];
+            if start.checked_add(length).is_none_or(|end| end > size) {
+                return Err(beyond());
+            }
+            files.push((name, LayerBytes { start: file.start + start, length, ..file.clone() }));
+        }
+        files.sort_by_key(|(_, bytes)| bytes.start);
+        Ok(Package { files })
+    }
+
+    /// The bytes of a file.
+    pub(crate) fn file(&self, name: &str) -> Option<LayerBytes<'a>> {
+        self.files.iter().find(|(known, _)| known == name).map(|(_, bytes)| bytes.clone())
+    }
+}

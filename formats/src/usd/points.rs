@@ -1,0 +1,400 @@
+//! Reads particles from stages: prims of the types `Points` and `PointInstancer`.
+//!
+//! ```text
+//!   Points            points, widths (diameters), velocities, accelerations, ids, primvars:NAME
+//!   PointInstancer    positions, velocities, accelerations, ids, protoIndices, orientations, scales
+//! ```
+//!
+//! All visible prims are one frame. The transforms of the prims are applied; positions then have 64 bits.
+//! Values stay in the units and axes of the stage, which a note states if they are not metres and y.
+//! Each time code at which a prim has a sample of its points is a frame.
+
+use std::collections::BTreeMap;
+use std::rc::Rc;
+
+use super::FORMAT;
+use super::composed::{ComposedStage, StagePrim};
+use super::layer::{Value, wide};
+use super::place::{IDENTITY, PrimMatrix, all_transformed, cofactors, determinant};
+use crate::columns::role_of;
+use crate::container::{ContainerFile, ContainerReader, Sample};
+use crate::data::{AttributeRole, ParticleFrame, Values};
+use crate::error::{Error, Position, Result};
+use crate::limits::Limits;
+use crate::named_arrays::{NamedArray, ParticlePart, frame_of, joined_parts};
+use crate::number;
+use crate::row::{FormatRow, ParticleReader};
+use crate::text::{excerpt, excerpts};
+
+/// How frames are read from the text form, the binary form and packages.
+pub(crate) const READER: ParticleReader = ParticleReader::container(ContainerReader::new(samples, read));
+
+/// The row of packages in the table of formats.
+pub(crate) static PACKAGE_ROW: FormatRow = FormatRow {
+    beginnings: &[b"PK\x03\x04"],
+    particles: Some(READER),
+    read_mesh: Some(super::mesh::read_alone),
+    ..FormatRow::new("USD package", &["usdz"])
+};
+
+/// The frames of a stage.
+fn samples(container: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>> {
+    let stage = ComposedStage::open(container, limits)?;
+    let codes = codes_of(&stage, &PointPrims::find(&stage)?, limits)?;
+    if codes.is_empty() {
+        return Ok(vec![Sample { number: 0, time: None }]);
+    }
+    let per_second = stage.codes_per_second()?;
+    let are_integers = codes.iter().all(|code| code.fract() == 0.0 && code.abs() < 2_f64.powi(53));
+    let sample = |(index, code): (usize, &f64)| {
+        #[expect(clippy::cast_possible_truncation, reason = "an integer of at most 53 bits")]
+        let number = if are_integers { *code as i64 } else { i64::try_from(index).unwrap_or(i64::MAX) };
+        Sample { number, time: Some(code / per_second) }
+    };
+    Ok(codes.iter().enumerate().map(sample).collect())
+}
+
+/// The time codes at which points have samples or, if they have none, at which their transforms have.
+fn codes_of(stage: &ComposedStage, found: &PointPrims, limits: &Limits) -> Result<Vec<f64>> {
+    let mut codes = Vec::new();
+    for (prim, points) in &found.prims {
+        let value = stage.attribute(prim, points)?;
+        codes.extend(value.and_then(|value| value.samples).into_iter().flat_map(|(_, codes)| codes));
+    }
+    if codes.is_empty() {
+        for (prim, _) in &found.prims {
+            codes.extend(stage.transform_codes(prim)?);
+        }
+    }
+    let codes = distinct(codes);
+    codes.len().checked_sub(1).map_or(Ok(()), |last| limits.check_step(FORMAT, last))?;
+    Ok(codes)
+}
+
+/// Time codes in ascending order, each once.
+pub(crate) fn distinct(mut codes: Vec<f64>) -> Vec<f64> {
+    codes.retain(|code| code.is_finite());
+    codes.sort_by(f64::total_cmp);
+    codes.dedup();
+    codes
+}
+
+fn read(container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
+    let stage = ComposedStage::open(container, limits)?;
+    let found = PointPrims::find(&stage)?;
+    let codes = codes_of(&stage, &found, limits)?;
+    let time = codes.get(index).copied();
+    if index >= codes.len().max(1) {
+        let what = format!("there is no frame {index}: the file has {}", codes.len().max(1));
+        return Err(Error::invalid(FORMAT, Position::File, what));
+    }
+    let mut notes = found.notes;
+    let mut frames = Vec::new();
+    let mut hidden = Vec::new();
+    for (prim, points) in &found.prims {
+        if !stage.is_visible(prim, time)? {
+            hidden.push(prim.path.clone());
+            continue;
+        }
+        frames.push(read_prim(&stage, prim, points, time, &mut notes, limits)?);
+        limits.check_particles(FORMAT, frames.iter().map(|part| part.positions.len() as u64).sum())?;
+    }
+    if !hidden.is_empty() {
+        notes.push(format!("skipped invisible prims: {}", excerpts(&hidden)));
+    }
+    if frames.len() > 1 {
+        notes.push(format!("the points of {} prims are one frame", frames.len()));
+    }
+    let ParticlePart { positions, arrays } = joined_parts(frames, "prims", &mut notes);
+    let mut frame = frame_of(Some(positions), arrays).unwrap_or_default();
+    notes.extend(units_note(&stage)?);
+    frame.notes.append(&mut notes);
+    Ok(frame)
+}
+
+/// A note on the unit and the axis of the stage, unless they are the usual ones.
+fn units_note(stage: &ComposedStage) -> Result<Option<String>> {
+    stage.root_layer(|layer| {
+        let meters = layer.number(0, "metersPerUnit")?.filter(|meters| *meters != 1.0);
+        let axis = layer.word(0, "upAxis")?.filter(|axis| axis != "Y");
+        let parts = [
+            meters.map(|meters| format!("metersPerUnit {meters}")),
+            axis.map(|axis| format!("upAxis {}", excerpt(axis))),
+        ];
+        let parts: Vec<String> = parts.into_iter().flatten().collect();
+        let note = || format!("values stay in the unit and axes of the stage: {}", parts.join(", "));
+        Ok((!parts.is_empty()).then(note))
+    })
+}
+
+/// The prims with points, and the names of their positions.
+struct PointPrims {
+    prims: Vec<(Rc<StagePrim>, &'static str)>,
+    notes: Vec<String>,
+}
+
+impl PointPrims {
+    fn find(stage: &ComposedStage) -> Result<PointPrims> {
+        let mut found = PointPrims { prims: Vec::new(), notes: Vec::new() };
+        let (mut unrendered, mut others) = (Vec::new(), BTreeMap::<String, usize>::new());
+        stage.traverse(&mut |prim| {
+            let kind = stage.type_name(prim)?;
+            let points = match kind.as_str() {
+                "Points" => "points",
+                "PointInstancer" => "positions",
+                _ => {
+                    *others.entry(kind).or_default() += 1;
+                    return Ok(true);
+                }
+            };
+            if !stage.is_rendered(prim)? {
+                unrendered.push(prim.path.clone());
+                return Ok(true);
+            }
+            if points == "positions" {
+                found.notes.push(format!(
+                    "only the positions of {} are read, not what it places",
+                    excerpt(&prim.path)
+                ));
+            }
+            found.prims.push((Rc::clone(prim), points));
+            Ok(points == "points")
+        })?;
+        if !unrendered.is_empty() {
+            found
+                .notes
+                .push(format!("skipped prims for purposes other than rendering: {}", excerpts(&unrendered)));
+        }
+        if found.prims.is_empty() && others.contains_key("Mesh") {
+            return Err(Error::unsupported(FORMAT, crate::MESH_REFUSAL));
+        }
+        if found.prims.is_empty() {
+            let others: Vec<String> = others
+                .into_iter()
+                .filter(|(kind, _)| !kind.is_empty())
+                .map(|(kind, count)| format!("{count} {}", excerpt(kind)))
+                .collect();
+            let what = format!(
+                "the stage has no prims of the type Points or PointInstancer; it has {}",
+                if others.is_empty() { "no others".to_owned() } else { others.join(", ") }
+            );
+            return Err(Error::unsupported(FORMAT, what));
+        }
+        Ok(found)
+    }
+}
+
+fn read_prim(
+    stage: &ComposedStage,
+    prim: &StagePrim,
+    points: &str,
+    time: Option<f64>,
+    notes: &mut Vec<String>,
+    limits: &Limits,
+) -> Result<ParticlePart> {
+    let matrix = stage.world(prim, time)?;
+    let Some((array, is_between)) = stage.array_at(prim, points, time)? else {
+        notes.push(format!("{} has no {points} at this time", excerpt(&prim.path)));
+        return Ok(ParticlePart::default());
+    };
+    if array.arity != 3 || matches!(array.values, Values::Strings { .. }) {
+        let what = format!("{}.{points} has elements of other than three numbers", excerpt(&prim.path));
+        return Err(Error::invalid(FORMAT, Position::File, what));
+    }
+    if is_between {
+        notes.push(format!("the points of {} are interpolated between two samples", excerpt(&prim.path)));
+    }
+    let count = array.particle_count();
+    limits.check_particles(FORMAT, count as u64)?;
+    let mut values = array.values;
+    if matrix != IDENTITY {
+        values = Values::F64(all_transformed(&values, &matrix, 1.0));
+    }
+    let positions = number::positions(values).unwrap_or_default();
+    let is_skipped = |name: &str| name == points || name == "extent" || name.starts_with("xformOp");
+    let mut arrays = attributes(stage, prim, (count, time), is_skipped, notes)?;
+    if matrix != IDENTITY {
+        turn(&mut arrays, &matrix, prim, notes);
+        let moves = !stage.transform_codes(prim)?.is_empty();
+        if moves
+            && arrays.iter().any(|array| role_of(&array.name, array.arity) == Some(AttributeRole::Velocity))
+        {
+            notes.push(format!(
+                "the velocities of {} lack those of its animated transform",
+                excerpt(&prim.path)
+            ));
+        }
+    }
+    Ok(ParticlePart { positions, arrays })
+}
+
+/// Applies a transform to vectors and widths.
+fn turn(arrays: &mut [NamedArray], matrix: &PrimMatrix, prim: &StagePrim, notes: &mut Vec<String>) {
+    for array in arrays {
+        match role_of(&array.name, array.arity) {
+            Some(AttributeRole::Velocity | AttributeRole::Acceleration) => {
+                array.values = narrowed(all_transformed(&array.values, matrix, 0.0), &array.values);
+            }
+            Some(AttributeRole::Normal) => {
+                let rows = cofactors(matrix);
+                let mut normals = IDENTITY;
+                (0..3).for_each(|row| normals[row][..3].copy_from_slice(&rows[row]));
+                let mut turned = all_transformed(&array.values, &normals, 0.0);
+                for normal in turned.as_chunks_mut::<3>().0 {
+                    let length = normal.iter().map(|x| x * x).sum::<f64>().sqrt();
+                    normal.iter_mut().for_each(|x| *x /= if length > 0.0 { length } else { 1.0 });
+                }
+                array.values = narrowed(turned, &array.values);
+            }
+            Some(AttributeRole::Radius) => {
+                let scale = determinant(matrix).abs().cbrt();
+                let rows = matrix.iter().take(3).map(|row| row.iter().map(|x| x * x).sum::<f64>().sqrt());
+                if rows.clone().any(|length| (length - scale).abs() > 1e-6 * scale) {
+                    notes.push(format!(
+                        "{} has different scales along its axes: its widths have their mean",
+                        excerpt(&prim.path)
+                    ));
+                }
+                if (scale - 1.0).abs() > 1e-9 {
+                    let scaled = wide(&array.values).iter().map(|width| width * scale).collect();
+                    array.values = narrowed(scaled, &array.values);
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+/// The values in 32 bits if those before had 32 bits.
+#[expect(clippy::cast_possible_truncation, reason = "the type of the file")]
+fn narrowed(values: Vec<f64>, before: &Values) -> Values {
+    match before {
+        Values::F64(_) => Values::F64(values),
+        _ => Values::F32(values.into_iter().map(|value| value as f32).collect()),
+    }
+}
+
+/// The arrays of a prim that have a value per point.
+///
+/// # Errors
+/// [`Error::Invalid`] if the indices of an array are outside its table.
+pub(crate) fn attributes(
+    stage: &ComposedStage,
+    prim: &StagePrim,
+    (count, time): (usize, Option<f64>),
+    is_skipped: impl Fn(&str) -> bool,
+    notes: &mut Vec<String>,
+) -> Result<Vec<NamedArray>> {
+    let mut found: Vec<NamedArray> = Vec::new();
+    let (mut constant, mut unfit) = (Vec::new(), Vec::new());
+    for attribute in stage.attribute_names(prim)? {
+        if attribute.ends_with(super::INDICES) || is_skipped(&attribute) {
+            continue;
+        }
+        let primvar = attribute.strip_prefix(PRIMVARS);
+        let name = primvar.unwrap_or(&attribute);
+        let kind = stage.attribute_field(prim, &attribute, "typeName")?;
+        if primvar.is_none() && !matches!(kind, Some(Value::Word(kind)) if kind.ends_with("[]")) {
+            continue;
+        }
+        let Some((array, _)) = stage.array_at(prim, &attribute, time)? else {
+            if primvar.is_some() {
+                constant.push(name.to_owned());
+            }
+            continue;
+        };
+        let field = |field: &str| stage.attribute_field(prim, &attribute, field);
+        let mut array = NamedArray { name: name.to_owned(), ..array };
+        if let Some((indices, _)) = stage.array_at(prim, &format!("{attribute}{}", super::INDICES), time)? {
+            array = expanded(array, &indices.values).ok_or_else(|| {
+                let what =
+                    format!("the indices of {}.{attribute} are outside its table", excerpt(&prim.path));
+                Error::invalid(FORMAT, Position::File, what)
+            })?;
+        } else {
+            array.values = with_distinct_words(array.values);
+        }
+        let size = field("elementSize")?.and_then(|size| size.number()).unwrap_or(1.0);
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a small integer, or none fits"
+        )]
+        let size = size.clamp(1.0, f64::from(u16::MAX)) as usize;
+        array.arity *= size;
+        let fits = count.checked_mul(array.arity) == Some(array.values.len());
+        let interpolation = match field("interpolation")? {
+            Some(Value::Word(word)) => word,
+            // The fallback is that of a constant, except for the attributes of points.
+            _ if primvar.is_none() || fits && count > 1 => "vertex".to_owned(),
+            _ => "constant".to_owned(),
+        };
+        let is_per_point = ["vertex", "varying"].contains(&interpolation.as_str());
+        if !is_per_point || !fits {
+            let is_constant = !is_per_point || array.values.len() == array.arity;
+            let skipped = if is_constant { &mut constant } else { &mut unfit };
+            skipped.push(name.to_owned());
+        } else if !found.iter().any(|known| known.name == array.name) {
+            found.push(array);
+        }
+    }
+    if !constant.is_empty() {
+        notes.push(format!(
+            "skipped attributes of {} without a value per point: {}",
+            excerpt(&prim.path),
+            excerpts(&constant)
+        ));
+    }
+    if !unfit.is_empty() {
+        notes.push(format!(
+            "skipped attributes of {} that have other lengths than its points: {}",
+            excerpt(&prim.path),
+            excerpts(&unfit)
+        ));
+    }
+    Ok(found)
+}
+
+const PRIMVARS: &str = "primvars:";
+
+/// The elements of a table that indices refer to; `None` if one is outside it.
+fn expanded(table: NamedArray, indices: &Values) -> Option<NamedArray> {
+    let Values::I32(indices) = indices else { return None };
+    let NamedArray { name, arity, values } = table;
+    fn gather<T: Copy>(table: &[T], arity: usize, indices: &[i32]) -> Option<Vec<T>> {
+        let mut all = Vec::with_capacity(indices.len().checked_mul(arity)?);
+        for index in indices {
+            let start = usize::try_from(*index).ok()?.checked_mul(arity)?;
+            all.extend_from_slice(table.get(start..)?.get(..arity)?);
+        }
+        Some(all)
+    }
+    let values = match values {
+        Values::F32(table) => Values::F32(gather(&table, arity, indices)?),
+        Values::F64(table) => Values::F64(gather(&table, arity, indices)?),
+        Values::U8(table) => Values::U8(gather(&table, arity, indices)?),
+        Values::I32(table) => Values::I32(gather(&table, arity, indices)?),
+        Values::I64(table) => Values::I64(gather(&table, arity, indices)?),
+        Values::Strings { table, .. } => {
+            let is_inside = |index: &i32| usize::try_from(*index).is_ok_and(|index| index < table.len());
+            indices.iter().all(is_inside).then_some(Values::Strings { table, indices: indices.clone() })?
+        }
+    };
+    Some(NamedArray { name, arity, values })
+}
+
+/// Keeps each word of a table once.
+fn with_distinct_words(values: Values) -> Values {
+    let Values::Strings { table, .. } = values else { return values };
+    let mut places = std::collections::HashMap::new();
+    let mut words: Vec<String> = Vec::new();
+    let mut indices = Vec::with_capacity(table.len());
+    for word in table {
+        let next = i32::try_from(words.len()).unwrap_or(i32::MAX);
+        indices.push(*places.entry(word).or_insert_with_key(|word: &String| {
+            words.push(word.clone());
+            next
+        }));
+    }
+    Values::Strings { table: words, indices }
+}

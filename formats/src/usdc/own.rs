@@ -1,0 +1,228 @@
+//! Reads the meshes of a file that this crate wrote, with their attributes, and what its tables declare.
+
+use std::io::{self, Read, Seek, SeekFrom};
+use std::rc::Rc;
+use std::sync::{Mutex, PoisonError};
+
+use super::tables::MAGIC;
+use crate::batches::ReadAt;
+use crate::columns::role_of;
+use crate::data::{FileAttribute, MeshData, Values, world};
+use crate::error::{Error, Position, Result};
+use crate::gltf::PlacedMesh;
+use crate::limits::Limits;
+use crate::named_arrays::NamedArray;
+use crate::options::UpAxis;
+use crate::usd::composed::{ComposedStage, StagePrim};
+use crate::usd::layer::{Layer, LayerSource, Value, unexpected};
+use crate::usd::mesh::{PrimMesh, mesh_prims};
+use crate::usd::package::LayerBytes;
+use crate::usd::points::attributes;
+use crate::usd::{ACCELERATIONS, FORMAT, LayerInfo, SampledProperty, VELOCITIES, attribute_of};
+
+/// A file with the mesh of one frame, or with a sample for each frame of a sequence.
+pub struct UsdcLayer<'a> {
+    stage: ComposedStage<'a>,
+    mesh: Rc<StagePrim>,
+    info: LayerInfo,
+    codes: Option<Vec<f64>>,
+}
+
+/// A frame of a file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct UsdcFrame {
+    /// The mesh, in world units.
+    pub mesh: MeshData,
+    /// The velocities and accelerations, and the primvars under their own names.
+    pub attributes: Vec<FileAttribute>,
+}
+
+impl<'a> UsdcLayer<'a> {
+    /// Reads the tables of a file; [`UsdcLayer::frame`] reads the meshes.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Truncated`] if the file is truncated; [`Error::Unsupported`] if another program wrote it;
+    /// [`Error::Invalid`] if it is damaged; [`Error::TooLarge`] if it exceeds the limits.
+    pub fn read(bytes: &'a [u8], limits: &Limits) -> Result<UsdcLayer<'a>> {
+        UsdcLayer::of_file(LayerBytes::of_slice(bytes), limits)
+    }
+
+    fn of_file(bytes: LayerBytes<'a>, limits: &Limits) -> Result<UsdcLayer<'a>> {
+        if !bytes.head::<8>()?.starts_with(MAGIC) {
+            return Err(Error::invalid(FORMAT, Position::Offset(0), "expected PXR-USDC"));
+        }
+        let stage = ComposedStage::of_file(bytes, &no_other_file, limits)?;
+        let info = stage.root_layer(layer_info)?;
+        let meshes = mesh_prims(&stage)?;
+        let [mesh] = &meshes[..] else {
+            return Err(Error::unsupported(FORMAT, "this file has several meshes, and meniscus writes one"));
+        };
+        let points = stage.attribute(mesh, "points")?.ok_or_else(|| unexpected("points"))?;
+        let codes = match points.default {
+            Some(_) => None,
+            // Other samples repeat a frame just before the next.
+            None => points
+                .samples
+                .map(|(_, codes)| codes.into_iter().filter(|code| code.fract() == 0.0).collect()),
+        };
+        Ok(UsdcLayer { mesh: Rc::clone(mesh), stage, info, codes })
+    }
+
+    /// The summary of the file.
+    pub fn info(&self) -> LayerInfo {
+        self.info
+    }
+
+    /// Fails if the file is a sequence.
+    pub(super) fn check_single_frame(&self) -> Result<()> {
+        match self.codes {
+            Some(_) => Err(Error::unsupported(FORMAT, "this file is a sequence: use the file of one frame")),
+            None => Ok(()),
+        }
+    }
+
+    /// The axis of the points that points up.
+    pub(super) fn up(&self) -> Result<UpAxis> {
+        match self.stage.root_layer(|layer| layer.word(0, "upAxis"))?.as_deref() {
+            Some("Y") => Ok(UpAxis::Y),
+            Some("Z") => Ok(UpAxis::Z),
+            _ => Err(unexpected("upAxis")),
+        }
+    }
+
+    /// The time codes of the frames; `None` for a file without time samples.
+    pub fn codes(&self) -> Option<&[f64]> {
+        self.codes.as_deref()
+    }
+
+    /// The names of the vertex attributes, except normals.
+    fn attribute_names(&self) -> Result<Vec<String>> {
+        let names = self.stage.attribute_names(&self.mesh)?;
+        Ok(names.iter().filter_map(|name| attribute_of(name)).map(str::to_owned).collect())
+    }
+
+    /// Reads a frame by its index; a file without time samples has one, with index 0.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Invalid`] if there is no such frame, or if it is damaged; [`Error::TooLarge`] if it exceeds
+    /// the limits.
+    pub fn frame(&self, index: usize) -> Result<UsdcFrame> {
+        let PlacedMesh { positions, normals, triangles, origin, attributes } = self.placed_frame(index)?;
+        let positions = positions.as_chunks::<3>().0;
+        let positions = positions.iter().map(|position| world(origin, *position)).collect();
+        let normals = normals.as_chunks::<3>().0.to_vec();
+        Ok(UsdcFrame { mesh: MeshData { positions, normals, triangles }, attributes })
+    }
+
+    /// Reads a frame as it is stored.
+    pub(super) fn placed_frame(&self, index: usize) -> Result<PlacedMesh> {
+        self.stage.start_anew();
+        let time = match &self.codes {
+            None if index == 0 => None,
+            codes => {
+                let code = codes.as_ref().and_then(|codes| codes.get(index));
+                Some(*code.ok_or_else(|| unexpected(&format!("frame {index}")))?)
+            }
+        };
+        let PrimMesh { points, normals, triangles, matrix } = PrimMesh::read(&self.stage, &self.mesh, time)?;
+        let Values::F32(positions) = points else { return Err(unexpected("points")) };
+        if normals.len() != positions.len() {
+            return Err(unexpected("normals"));
+        }
+        let count = positions.len() / 3;
+        let is_other = |name: &str| attribute_of(name).is_none();
+        let arrays = attributes(&self.stage, &self.mesh, (count, time), is_other, &mut Vec::new())?;
+        let attribute = |array: NamedArray| {
+            let has_role = [VELOCITIES, ACCELERATIONS, "displayColor"].contains(&array.name.as_str());
+            let role = role_of(&array.name, array.arity).filter(|_| has_role);
+            FileAttribute { name: array.name, arity: array.arity, role, values: array.values }
+        };
+        let attributes = arrays.into_iter().map(attribute).collect();
+        let [x, y, z, _] = matrix[3];
+        Ok(PlacedMesh { positions, normals, triangles, origin: [x, y, z], attributes })
+    }
+}
+
+/// A file of this crate refers to no other.
+fn no_other_file(path: &str) -> io::Result<Box<dyn ReadAt>> {
+    Err(io::Error::new(io::ErrorKind::Unsupported, format!("no access to the file {path}")))
+}
+
+fn layer_info(layer: &Layer) -> Result<LayerInfo> {
+    let entries = |value: Option<Value>| match value {
+        Some(Value::Dictionary(entries)) => entries,
+        _ => Vec::new(),
+    };
+    let entry = |entries: &[(String, Value)], name: &str| {
+        let found = entries.iter().find(|(key, _)| key == name).map(|(_, value)| value);
+        match (found, &layer.source) {
+            (Some(value), LayerSource::Binary(file)) => file.entry(value, name).map(Some),
+            (found, _) => Ok(found.cloned()),
+        }
+    };
+    let counts = entries(entry(&entries(layer.field(0, "customLayerData")?), "meniscus_mesh")?);
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a count")]
+    let number = |name: &str| -> Result<Option<u64>> {
+        Ok(entry(&counts, name)?.and_then(|value| value.number()).map(|number| number as u64))
+    };
+    match (number("vertices")?, number("faces")?) {
+        (Some(vertices), Some(faces)) => Ok(LayerInfo { vertices, faces, frames: number("frames")? }),
+        _ => Err(Error::unsupported(
+            FORMAT,
+            "another program wrote this file, which has no summary of its mesh",
+        )),
+    }
+}
+
+/// Reads the properties with time samples from a file of this crate, without its arrays.
+///
+/// # Errors
+///
+/// [`Error::Io`] if the file cannot be read; otherwise those of [`UsdcLayer::read`].
+pub fn read_sampled_properties(
+    file: &mut (impl Read + Seek + Send),
+    limits: &Limits,
+) -> Result<Vec<SampledProperty>> {
+    let file = SeekFile(Mutex::new(file));
+    let layer = super::read_layer(LayerBytes::first(&file)?, limits)?;
+    let mut found = Vec::new();
+    for (index, node) in layer.nodes.iter().enumerate().filter(|(_, node)| node.is_attribute) {
+        if layer.field(index, "timeSamples")?.is_some() {
+            let kind = layer.word(index, "typeName")?.unwrap_or_default();
+            found.extend(SampledProperty::checked(&kind, &node.name));
+        }
+    }
+    Ok(found)
+}
+
+/// Reads the summary of a file of this crate, and the names of its vertex attributes, except normals, without
+/// its arrays.
+///
+/// # Errors
+///
+/// As [`read_sampled_properties`].
+pub fn read_layer_info(
+    file: &mut (impl Read + Seek + Send),
+    limits: &Limits,
+) -> Result<(LayerInfo, Vec<String>)> {
+    let file = SeekFile(Mutex::new(file));
+    let layer = UsdcLayer::of_file(LayerBytes::first(&file)?, limits)?;
+    Ok((layer.info(), layer.attribute_names()?))
+}
+
+/// A file with a position, read at any offset.
+struct SeekFile<F>(Mutex<F>);
+
+impl<F: Read + Seek + Send> ReadAt for SeekFile<F> {
+    fn size_bytes(&self) -> io::Result<u64> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).seek(SeekFrom::End(0))
+    }
+
+    fn read_exact_at(&self, out: &mut [u8], offset: u64) -> io::Result<()> {
+        let mut file = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        file.seek(SeekFrom::Start(offset))?;
+        file.read_exact(out)
+    }
+}

@@ -1,0 +1,155 @@
+"""Checks that meniscus reads the particles of stages that OpenUSD writes, in all three forms.
+
+    still      points, widths, velocities, ids and primvars of all types, below transforms
+    moving     time samples: each is a frame
+    composed   sublayers, references, payloads and variants; the same as a package
+
+The positions of `convert --particles-only` are those that OpenUSD computes. `info` shows the attributes.
+"""
+
+import json
+import shutil
+import subprocess
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdUtils, Vt
+
+from mesh_files import read_ply
+from project import PROGRAM, WORK, Check, convert
+
+FILES = WORK / "usd"
+COUNT = 500
+CODES = [1, 2, 5]
+
+
+def main():
+    check = Check(f"usd: particles of OpenUSD {'.'.join(map(str, Usd.GetVersion()))}")
+    shutil.rmtree(FILES, ignore_errors=True)
+    FILES.mkdir(parents=True)
+    for ending in ("usda", "usdc"):
+        for name, write in (("still", still), ("moving", moving), ("composed", composed)):
+            path = FILES / f"{name}.{ending}"
+            write(path)
+            check.line(path.name, *compared(path))
+    for name, first in (("composed.usdz", "composed.usda"), ("moving.usdz", "moving.usdc")):
+        UsdUtils.CreateNewUsdzPackage(str(FILES / first), str(FILES / name))
+        check.line(name, *compared(FILES / name))
+    check.end()
+
+
+def add_points(stage, path, count, codes=(None,)):
+    """Points on a spiral, with attributes of all types that compress differently."""
+    points = UsdGeom.Points.Define(stage, path)
+    index = np.arange(count)
+    spiral = np.stack([np.cos(index), np.sin(index), 0.01 * index], axis=1).astype(np.float32)
+    for code in codes:
+        time, shift = (Usd.TimeCode.Default(), 0) if code is None else (code, code)
+        points.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(spiral + np.float32(shift)), time)
+        points.GetVelocitiesAttr().Set(Vt.Vec3fArray.FromNumpy(spiral * np.float32(0.5)), time)
+    points.GetWidthsAttr().Set(Vt.FloatArray.FromNumpy(np.full(count, 0.2, np.float32)))
+    points.GetIdsAttr().Set(Vt.Int64Array.FromNumpy(index * 3 + 2**40))
+    primvars, types = UsdGeom.PrimvarsAPI(points), Sdf.ValueTypeNames
+    for name, kind, values in (
+        ("half", types.HalfArray, Vt.HalfArray.FromNumpy((index % 7).astype(np.float16))),
+        ("double", types.DoubleArray, Vt.DoubleArray.FromNumpy(np.sqrt(index))),
+        ("few", types.FloatArray, Vt.FloatArray.FromNumpy((index % 3 * 0.1).astype(np.float32))),
+        ("int", types.IntArray, Vt.IntArray.FromNumpy((index * index).astype(np.int32))),
+        ("word", types.TokenArray, Vt.TokenArray(["a" if i % 2 else "b" for i in range(count)])),
+    ):
+        primvars.CreatePrimvar(name, kind, "vertex").Set(values)
+
+
+def still(path):
+    stage = Usd.Stage.CreateNew(str(path))
+    world = UsdGeom.Xform.Define(stage, "/World")
+    world.AddTranslateOp().Set((100, 200, 300))
+    world.AddRotateXYZOp().Set((10, 20, 30))
+    tank = UsdGeom.Xform.Define(stage, "/World/Tank")
+    tank.AddOrientOp().Set(Gf.Quatf(0.5, 0.5, 0.5, 0.5))
+    tank.AddScaleOp().Set((2, 2, 2))
+    add_points(stage, "/World/Tank/water", COUNT)
+    hidden = UsdGeom.Xform.Define(stage, "/World/Hidden")
+    hidden.GetVisibilityAttr().Set("invisible")
+    add_points(stage, "/World/Hidden/water", 9)
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    stage.Save()
+
+
+def moving(path):
+    stage = Usd.Stage.CreateNew(str(path))
+    stage.SetTimeCodesPerSecond(30)
+    add_points(stage, "/water", COUNT, CODES)
+    stage.Save()
+
+
+def composed(path):
+    def further(name):
+        return path.with_name(f"{name}{path.suffix}")
+
+    asset = Usd.Stage.CreateNew(str(further("asset")))
+    asset.SetDefaultPrim(UsdGeom.Xform.Define(asset, "/Asset").GetPrim())
+    add_points(asset, "/Asset/water", 40)
+    asset.Save()
+    weak = Usd.Stage.CreateNew(str(further("weak")))
+    add_points(weak, "/weak", 30)
+    weak.Save()
+    stage = Usd.Stage.CreateNew(str(path))
+    stage.GetRootLayer().subLayerPaths.append(f"./{further('weak').name}")
+    referring = UsdGeom.Xform.Define(stage, "/Referring")
+    referring.GetPrim().GetReferences().AddReference(f"./{further('asset').name}")
+    referring.AddTranslateOp().Set((5, 0, 0))
+    loading = UsdGeom.Xform.Define(stage, "/Loading").GetPrim()
+    loading.GetPayloads().AddPayload(f"./{further('asset').name}", "/Asset")
+    varying = UsdGeom.Xform.Define(stage, "/Varying").GetPrim()
+    sets = varying.GetVariantSets().AddVariantSet("size")
+    for name, count in (("small", 20), ("large", 60)):
+        sets.AddVariant(name)
+        sets.SetVariantSelection(name)
+        with sets.GetVariantEditContext():
+            add_points(stage, "/Varying/water", count)
+    sets.SetVariantSelection("small")
+    stage.Save()
+
+
+def expected_positions(path):
+    """The positions of each frame, by its number."""
+    stage = Usd.Stage.Open(str(path))
+    prims = [UsdGeom.Points(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Points)]
+    codes = sorted({code for prim in prims for code in prim.GetPointsAttr().GetTimeSamples()})
+    frames = {}
+    for code in codes or [None]:
+        time = Usd.TimeCode.Default() if code is None else Usd.TimeCode(code)
+        parts = []
+        for prim in prims:
+            if prim.ComputeVisibility(time) != "invisible":
+                matrix = np.array(prim.ComputeLocalToWorldTransform(time))
+                points = np.array(prim.GetPointsAttr().Get(time), dtype=np.float64)
+                parts.append(points @ matrix[:3, :3] + matrix[3, :3])
+        frames[code] = np.concatenate(parts)
+    return frames
+
+
+def compared(path):
+    out, faults = FILES / "out" / path.name, []
+    status, text, _ = convert([path], out, "--particles-only", "--format", "ply", "--attributes", "all")
+    if status != 0:
+        return "could not be converted", [text]
+    written = sorted(out.glob("*.ply"))
+    frames = expected_positions(path)
+    if len(written) != len(frames):
+        faults.append(f"{len(written)} frames, and OpenUSD has {len(frames)}")
+    for ply, (code, positions) in zip(written, sorted(frames.items(), key=lambda frame: frame[0] or 0)):
+        found, _ = read_ply(ply)
+        if found.shape != positions.shape or abs(found - positions).max() > 1e-4:
+            faults.append(f"{ply.name}: its positions are not those at the time code {code}")
+    if path.suffix != ".usdz" and len(frames) == 1:
+        shown = subprocess.run([PROGRAM, "info", "--json", path], capture_output=True, text=True, timeout=600)
+        for name in ("velocities", "widths", "ids", "half", "double", "few", "int", "word"):
+            if f'"{name}"' not in json.dumps(shown.stdout.replace('\\"', '"')).replace('\\"', '"'):
+                faults.append(f"info does not show {name}")
+    return f"{len(frames)} frames of {len(next(iter(frames.values())))} particles", faults
+
+
+if __name__ == "__main__":
+    main()
