@@ -188,6 +188,19 @@ pub(crate) fn components(values: &Values, arity: usize, range: std::ops::Range<u
     })
 }
 
+/// The elements of `arity` values that indices refer to; `None` if one does not exist.
+pub(crate) fn gathered(values: &Values, arity: usize, indices: &[i32]) -> Option<Values> {
+    fn gather<T: Copy>(table: &[T], arity: usize, indices: &[i32]) -> Option<Vec<T>> {
+        let mut all = Vec::with_capacity(indices.len().checked_mul(arity)?);
+        for index in indices {
+            let start = usize::try_from(*index).ok()?.checked_mul(arity)?;
+            all.extend_from_slice(table.get(start..)?.get(..arity)?);
+        }
+        Some(all)
+    }
+    Some(map_any_type!(values, values => gather(values, arity, indices)?))
+}
+
 /// A range of the values, which must be in bounds.
 pub(crate) fn slice(values: &Values, range: std::ops::Range<usize>) -> Values {
     map_any_type!(values, values => values[range].to_vec())
