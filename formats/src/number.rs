@@ -188,14 +188,22 @@ pub(crate) fn components(values: &Values, arity: usize, range: std::ops::Range<u
     })
 }
 
-/// The `arity` components at each index; `None` if one is out of bounds.
-pub(crate) fn gathered(values: &Values, arity: usize, indices: &[u32]) -> Option<Values> {
-    let count = values.len() / arity.max(1);
-    if indices.iter().any(|index| *index as usize >= count) {
-        return None;
+/// The elements of `arity` values that indices refer to; `None` if one does not exist.
+pub(crate) fn gathered(
+    values: &Values,
+    arity: usize,
+    indices: &[impl Copy + TryInto<usize>],
+) -> Option<Values> {
+    fn gather<T: Copy>(table: &[T], arity: usize, indices: &[impl Copy + TryInto<usize>]) -> Option<Vec<T>> {
+        let mut all = Vec::with_capacity(indices.len().checked_mul(arity)?);
+        for index in indices {
+            let index: usize = (*index).try_into().ok()?;
+            let start = index.checked_mul(arity)?;
+            all.extend_from_slice(table.get(start..)?.get(..arity)?);
+        }
+        Some(all)
     }
-    let ranges = indices.iter().map(|index| *index as usize * arity..(*index as usize + 1) * arity);
-    Some(map_any_type!(values, values => ranges.flat_map(|range| &values[range]).copied().collect()))
+    Some(map_any_type!(values, values => gather(values, arity, indices)?))
 }
 
 /// A range of the values, which must be in bounds.

@@ -154,7 +154,7 @@ fn contradictions_are_errors_or_notes() {
         assert_eq!(frame.attributes, [], "{rest}");
     }
     for (rest, word) in [
-        ("def Points \"q\" ( references = @./q.usda@ ) {}", "/p/q refers to the layer ./q.usda"),
+        ("def Points \"q\" ( references = @./q.usda@ ) {}", "/p/q refers to the layer q.usda"),
         ("def Points \"q\" ( payload = @/etc/q.usda@ ) {}", "outside the folder"),
         ("def Points \"q\" ( references = @../q.usda@ ) {}", "outside the folder"),
         ("def Points \"q\" ( references = </r> ) {}", "/p/q refers to the prim `/r`, which does not exist"),

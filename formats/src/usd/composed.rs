@@ -370,6 +370,12 @@ impl<'a> ComposedStage<'a> {
         })
     }
 
+    /// The time codes at which an attribute has samples.
+    pub(crate) fn sample_codes(&self, prim: &StagePrim, name: &str) -> Result<Vec<f64>> {
+        let samples = self.attribute(prim, name)?.and_then(|value| value.samples);
+        Ok(samples.map(|(_, codes)| codes).unwrap_or_default())
+    }
+
     /// The site of the root of a stack.
     fn root(&self, stack: usize) -> Vec<Site> {
         let count = self.stacks.borrow()[stack].layers.len();

@@ -14,13 +14,12 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::FORMAT;
-use super::package::LayerBytes;
+use super::package::{LayerBytes, LimitedBytes};
 use crate::data::Values;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, widened};
 use crate::number::NumberType;
-use crate::usda::TextFile;
 use crate::usdc::CrateFile;
 
 /// A layer.
@@ -33,7 +32,7 @@ pub(crate) struct Layer<'a> {
 /// The file of a layer.
 pub(crate) enum LayerSource<'a> {
     Binary(CrateFile<'a>),
-    Text(TextFile<'a>),
+    Text(LimitedBytes<'a>),
 }
 
 /// A prim, a variant, or a property.
@@ -245,7 +244,7 @@ impl<'a> Layer<'a> {
         let (arity, values) = match (place, &self.source) {
             (ArrayPlace::Binary(rep), LayerSource::Binary(file)) => file.array(*rep, name)?,
             (ArrayPlace::Text(kind, start, end, line), LayerSource::Text(file)) => {
-                file.array(*kind, *start..*end, *line)?
+                crate::usda::read_array(file, *kind, *start..*end, *line)?
             }
             _ => return Err(unexpected(name)),
         };
@@ -311,13 +310,18 @@ impl NodeFields {
         matches!(self, NodeFields::List(fields) if fields.iter().any(|(field, _)| field == name))
     }
 
+    /// Removes a field of a text.
+    pub(crate) fn take(&mut self, name: &str) -> Option<Value> {
+        let NodeFields::List(fields) = self else { return None };
+        let index = fields.iter().position(|(field, _)| field == name)?;
+        Some(fields.swap_remove(index).1)
+    }
+
     /// Sets a field of a text.
     pub(crate) fn set(&mut self, name: &str, value: Value) {
         let NodeFields::List(fields) = self else { return };
-        match fields.iter_mut().find(|(field, _)| field == name) {
-            Some((_, old)) => *old = value,
-            None => fields.push((name.to_owned(), value)),
-        }
+        fields.retain(|(field, _)| field != name);
+        fields.push((name.to_owned(), value));
     }
 }
 

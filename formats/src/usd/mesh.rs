@@ -1,13 +1,13 @@
 //! Reads the meshes of stages, such as obstacles.
 
 use std::rc::Rc;
+use std::sync::Arc;
 
 use super::FORMAT;
 use super::composed::{ComposedStage, StagePrim};
 use super::layer::wide;
 use super::place::{PrimMatrix, cofactors, determinant, transformed};
 use super::points::distinct;
-use crate::batches::ReadAt;
 use crate::container::{ContainerFile, OpenFurther};
 use crate::data::{MeshData, Values};
 use crate::error::{Error, Position, Result};
@@ -77,8 +77,7 @@ fn times_of(stage: &ComposedStage) -> Result<MeshTimes> {
     let mut codes = Vec::new();
     for prim in mesh_prims(stage)? {
         for name in ["points", "faceVertexCounts", "faceVertexIndices"] {
-            let value = stage.attribute(&prim, name)?;
-            codes.extend(value.and_then(|value| value.samples).into_iter().flat_map(|(_, codes)| codes));
+            codes.extend(stage.sample_codes(&prim, name)?);
         }
         codes.extend(stage.transform_codes(&prim)?);
     }
@@ -87,25 +86,12 @@ fn times_of(stage: &ComposedStage) -> Result<MeshTimes> {
 
 /// Reads the mesh of a file without animation. `read_external` reads the files to which it refers.
 pub(crate) fn read_alone(bytes: &[u8], limits: &Limits, read_external: &ReadExternal) -> Result<MeshData> {
-    let open: &OpenFurther = &|path| Ok(Box::new(ReadBytes(read_external(path)?)));
+    let open: &OpenFurther = &|path| Ok(Box::new(Arc::<[u8]>::from(read_external(path)?)));
     let file = ContainerFile { file: &bytes, name: "", open };
     if read_mesh_times(&file, limits)?.codes.len() > 1 {
         return Err(Error::unsupported(FORMAT, "this file is a sequence: use the file of one frame"));
     }
     read_mesh(&file, None, limits)
-}
-
-/// A whole file in memory.
-struct ReadBytes(Vec<u8>);
-
-impl ReadAt for ReadBytes {
-    fn size_bytes(&self) -> std::io::Result<u64> {
-        self.0.as_slice().size_bytes()
-    }
-
-    fn read_exact_at(&self, out: &mut [u8], offset: u64) -> std::io::Result<()> {
-        self.0.as_slice().read_exact_at(out, offset)
-    }
 }
 
 /// The meshes for final pictures.

@@ -1,6 +1,7 @@
 //! A `.usdz`: a ZIP archive whose files are stored as they are, so that each can be read in place. The first
 //! one is the layer of the stage.
 
+use std::cell::Cell;
 use std::io;
 use std::rc::Rc;
 
@@ -8,6 +9,7 @@ use super::FORMAT;
 use crate::batches::ReadAt;
 use crate::bytes::{Cursor, Endian};
 use crate::error::{Error, Position, Result};
+use crate::limits::Limits;
 use crate::npy::{ArchiveMember, STORED, directory, entries};
 use crate::text::excerpt;
 
@@ -68,6 +70,40 @@ impl<'a> LayerBytes<'a> {
         let mut bytes = vec![0; usize::try_from(length).map_err(too_large)?];
         self.read(&mut bytes, at)?;
         Ok(bytes)
+    }
+}
+
+/// The bytes of a layer, and the number of bytes that were read since [`LimitedBytes::start_anew`].
+pub(crate) struct LimitedBytes<'a> {
+    bytes: LayerBytes<'a>,
+    limits: Limits,
+    unpacked: Cell<u64>,
+}
+
+impl<'a> LimitedBytes<'a> {
+    pub(crate) fn new(bytes: LayerBytes<'a>, limits: &Limits) -> LimitedBytes<'a> {
+        LimitedBytes { bytes, limits: *limits, unpacked: Cell::new(0) }
+    }
+
+    pub(crate) fn length(&self) -> u64 {
+        self.bytes.length
+    }
+
+    /// Fills `out` with the bytes from `offset` on.
+    pub(crate) fn read(&self, out: &mut [u8], offset: u64) -> Result<()> {
+        self.bytes.read(out, offset)
+    }
+
+    /// Sets the count of bytes to 0.
+    pub(crate) fn start_anew(&self) {
+        self.unpacked.set(0);
+    }
+
+    /// Counts bytes that are about to be allocated; fails if the sum exceeds the limit.
+    pub(crate) fn claim(&self, count: usize, bytes_each: usize) -> Result<()> {
+        let bytes = (count as u64).saturating_mul(bytes_each as u64);
+        self.unpacked.set(self.unpacked.get().saturating_add(bytes));
+        self.limits.check_decompressed(FORMAT, self.unpacked.get(), self.bytes.length)
     }
 }
 

@@ -194,8 +194,7 @@ impl ComposedStage<'_> {
         for prim in ancestors(prim) {
             let steps = self.steps(prim)?;
             for step in &steps {
-                let value = self.attribute(prim, step.strip_prefix(INVERT).unwrap_or(step))?;
-                codes.extend(value.and_then(|value| value.samples).into_iter().flat_map(|(_, codes)| codes));
+                codes.extend(self.sample_codes(prim, step.strip_prefix(INVERT).unwrap_or(step))?);
             }
             if steps.iter().any(|step| step == RESET) {
                 break;

@@ -58,8 +58,7 @@ fn samples(container: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>> {
 fn codes_of(stage: &ComposedStage, found: &PointPrims, limits: &Limits) -> Result<Vec<f64>> {
     let mut codes = Vec::new();
     for (prim, points) in &found.prims {
-        let value = stage.attribute(prim, points)?;
-        codes.extend(value.and_then(|value| value.samples).into_iter().flat_map(|(_, codes)| codes));
+        codes.extend(stage.sample_codes(prim, points)?);
     }
     if codes.is_empty() {
         for (prim, _) in &found.prims {
@@ -306,7 +305,11 @@ pub(crate) fn attributes(
         let field = |field: &str| stage.attribute_field(prim, &attribute, field);
         let mut array = NamedArray { name: name.to_owned(), ..array };
         if let Some((indices, _)) = stage.array_at(prim, &format!("{attribute}{}", super::INDICES), time)? {
-            array = expanded(array, &indices.values).ok_or_else(|| {
+            let values = match &indices.values {
+                Values::I32(indices) => number::gathered(&array.values, array.arity, indices),
+                _ => None,
+            };
+            array.values = values.ok_or_else(|| {
                 let what =
                     format!("the indices of {}.{attribute} are outside its table", excerpt(&prim.path));
                 Error::invalid(FORMAT, Position::File, what)
@@ -356,32 +359,6 @@ pub(crate) fn attributes(
 }
 
 const PRIMVARS: &str = "primvars:";
-
-/// The elements of a table that indices refer to; `None` if one is outside it.
-fn expanded(table: NamedArray, indices: &Values) -> Option<NamedArray> {
-    let Values::I32(indices) = indices else { return None };
-    let NamedArray { name, arity, values } = table;
-    fn gather<T: Copy>(table: &[T], arity: usize, indices: &[i32]) -> Option<Vec<T>> {
-        let mut all = Vec::with_capacity(indices.len().checked_mul(arity)?);
-        for index in indices {
-            let start = usize::try_from(*index).ok()?.checked_mul(arity)?;
-            all.extend_from_slice(table.get(start..)?.get(..arity)?);
-        }
-        Some(all)
-    }
-    let values = match values {
-        Values::F32(table) => Values::F32(gather(&table, arity, indices)?),
-        Values::F64(table) => Values::F64(gather(&table, arity, indices)?),
-        Values::U8(table) => Values::U8(gather(&table, arity, indices)?),
-        Values::I32(table) => Values::I32(gather(&table, arity, indices)?),
-        Values::I64(table) => Values::I64(gather(&table, arity, indices)?),
-        Values::Strings { table, .. } => {
-            let is_inside = |index: &i32| usize::try_from(*index).is_ok_and(|index| index < table.len());
-            indices.iter().all(is_inside).then_some(Values::Strings { table, indices: indices.clone() })?
-        }
-    };
-    Some(NamedArray { name, arity, values })
-}
 
 /// Keeps each word of a table once.
 fn with_distinct_words(values: Values) -> Values {

@@ -148,12 +148,10 @@ fn time_samples_are_frames() {
     // Only p has them.
     assert!(found.iter().all(|(_, frame)| frame.attributes.is_empty()));
 
-    let still = format!(
-        "def Xform \"x\" {{ double xformOp:rotateZ.timeSamples = {{ 0.5: 0, 1.5: 90 }}
-        token[] xformOpOrder = [\"xformOp:rotateZ\"] def Points \"p\" {{ point3f[] points = [(1, 0, 0)]
-        vector3f[] velocities = [(0, 1, 0)] }} }}"
-    );
-    let found = frames(&[("r.usda", &still)]).expect("two frames");
+    let still = "def Xform \"x\" { double xformOp:rotateZ.timeSamples = { 0.5: 0, 1.5: 90 }
+        token[] xformOpOrder = [\"xformOp:rotateZ\"] def Points \"p\" { point3f[] points = [(1, 0, 0)]
+        vector3f[] velocities = [(0, 1, 0)] } }";
+    let found = frames(&[("r.usda", still)]).expect("two frames");
     assert_eq!((found[0].0.number, found[1].0), (0, Sample { number: 1, time: Some(0.0625) }));
     let FilePositions::F64(positions) = &found[1].1.positions else { panic!("64 bits") };
     assert!(positions[0][0].abs() < 1e-15 && (positions[0][1] - 1.0).abs() < 1e-15);

@@ -33,7 +33,7 @@ use rayon::prelude::*;
 
 pub use crate::usd::{LayerInfo, SampledProperty};
 pub use head::{read_layer_info, read_sampled_properties, read_times};
-pub(crate) use parse::{TextFile, read_layer};
+pub(crate) use parse::{read_array, read_layer};
 pub use stage::{ClipFile, StageClips, UsdStage, stage_text};
 
 use crate::data::{MeshView, Provenance};

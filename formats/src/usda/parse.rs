@@ -13,10 +13,10 @@
 //!
 //! The text is read once from its start to its end, through a window of 64 KiB.
 
-use std::cell::Cell;
 use std::ops::Range;
 use std::sync::Arc;
 
+use crate::bytes::Endian;
 use crate::data::Values;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
@@ -24,18 +24,10 @@ use crate::number::NumberType;
 use crate::text::excerpt;
 use crate::usd::FORMAT;
 use crate::usd::layer::{
-    ArrayElement, ArrayPlace, Layer, LayerArc, LayerNode, LayerSource, ListEdits, NODE_BYTES, NodeFields,
-    SampleValues, TimeSamples, Value, add_node,
+    ArrayElement, ArrayPlace, Layer, LayerArc, LayerNode, LayerSource, ListEdits, NODE_BYTES, SampleValues,
+    TimeSamples, Value, add_node,
 };
-use crate::usd::package::LayerBytes;
-
-/// The file of a text layer.
-pub(crate) struct TextFile<'a> {
-    file: LayerBytes<'a>,
-    size: u64,
-    limits: Limits,
-    unpacked: Cell<u64>,
-}
+use crate::usd::package::{LayerBytes, LimitedBytes};
 
 /// Reads the structure of a layer.
 ///
@@ -44,8 +36,8 @@ pub(crate) struct TextFile<'a> {
 /// [`Error::Truncated`] if the text ends too early; [`Error::Invalid`] with the line if it violates the
 /// syntax; [`Error::TooLarge`] if it exceeds the limits.
 pub(crate) fn read_layer<'a>(file: LayerBytes<'a>, limits: &Limits) -> Result<Layer<'a>> {
-    let size = file.length;
-    let file = TextFile { file, size, limits: *limits, unpacked: Cell::new(0) };
+    let file = LimitedBytes::new(file, limits);
+    let size = file.length();
     let mut parser =
         UsdaParser { text: WindowedText::new(&file, 0..size, 1), nodes: vec![LayerNode::default()] };
     parser.layer()?;
@@ -64,7 +56,7 @@ const WORD_BYTES_MAX: usize = 16 << 20;
 
 /// A read position in a text.
 struct WindowedText<'t, 'a> {
-    source: &'t TextFile<'a>,
+    source: &'t LimitedBytes<'a>,
     window: Vec<u8>,
     /// The offset of the window in the file.
     start: u64,
@@ -74,7 +66,7 @@ struct WindowedText<'t, 'a> {
 }
 
 impl<'t, 'a> WindowedText<'t, 'a> {
-    fn new(source: &'t TextFile<'a>, range: Range<u64>, line: u64) -> WindowedText<'t, 'a> {
+    fn new(source: &'t LimitedBytes<'a>, range: Range<u64>, line: u64) -> WindowedText<'t, 'a> {
         WindowedText { source, window: Vec::new(), start: range.start, at: 0, end: range.end, line }
     }
 
@@ -84,7 +76,7 @@ impl<'t, 'a> WindowedText<'t, 'a> {
             self.start += self.at as u64;
             let rest = usize::try_from(self.end - self.start).unwrap_or(usize::MAX);
             self.window.resize(rest.min(WINDOW_BYTES), 0);
-            self.source.file.read(&mut self.window, self.start)?;
+            self.source.read(&mut self.window, self.start)?;
             self.at = 0;
         }
         Ok(self.window.get(self.at + ahead).copied())
@@ -199,7 +191,7 @@ impl<'t, 'a> WindowedText<'t, 'a> {
     }
 
     fn text(&self, bytes: Vec<u8>) -> Result<String> {
-        self.source.claim(bytes.len() + size_of::<Value>())?;
+        self.source.claim(bytes.len() + size_of::<Value>(), 1)?;
         String::from_utf8(bytes).map_err(|_| self.invalid("the text is not UTF-8"))
     }
 
@@ -325,9 +317,7 @@ struct UsdaParser<'t, 'a> {
 impl UsdaParser<'_, '_> {
     fn layer(&mut self) -> Result<()> {
         self.text.skip_line()?; // #usda 1.0
-        if self.text.ahead()? == Some(b'(') {
-            self.metadata(0)?;
-        }
+        self.metadata(0)?;
         while self.text.ahead()?.is_some() {
             let word = self.text.word()?;
             self.statement(0, &word, 0)?;
@@ -341,7 +331,7 @@ impl UsdaParser<'_, '_> {
 
     /// Adds a node, or continues the one of this name.
     fn add(&mut self, parent: usize, name: &str) -> Result<usize> {
-        self.text.source.claim(NODE_BYTES)?;
+        self.text.source.claim(1, NODE_BYTES)?;
         let node = LayerNode { name: name.into(), ..LayerNode::default() };
         Ok(add_node(&mut self.nodes, parent, node))
     }
@@ -350,8 +340,9 @@ impl UsdaParser<'_, '_> {
         self.nodes[node].fields.set(field, value);
     }
 
-    /// The statements between braces.
+    /// The fields, and the statements between braces.
     fn body(&mut self, node: usize, depth: usize) -> Result<()> {
+        self.metadata(node)?;
         self.text.expect(b'{')?;
         while !self.text.takes(b'}')? {
             let word = self.text.word()?;
@@ -384,9 +375,6 @@ impl UsdaParser<'_, '_> {
         if let Some(kind) = kind {
             self.set(node, "typeName", Value::Word(kind));
         }
-        if self.text.ahead()? == Some(b'(') {
-            self.metadata(node)?;
-        }
         self.body(node, depth + 1)
     }
 
@@ -397,15 +385,12 @@ impl UsdaParser<'_, '_> {
         while !self.text.takes(b'}')? {
             let name = self.text.quoted()?;
             let node = self.add(parent, &format!("{{{set}={name}}}"))?;
-            if self.text.ahead()? == Some(b'(') {
-                self.metadata(node)?;
-            }
             self.body(node, depth + 1)?;
         }
         Ok(())
     }
 
-    /// An attribute. Relationships, and the order of names, are skipped.
+    /// An attribute or a relationship. The order of names is skipped.
     fn property(&mut self, parent: usize, first: &str) -> Result<()> {
         let mut kind = first.to_owned();
         while ["custom", "uniform", "varying", "config", "prepend", "append", "add", "delete", "reorder"]
@@ -426,17 +411,8 @@ impl UsdaParser<'_, '_> {
         if self.text.takes(b'.')? {
             suffix = self.text.word()?;
         }
-        if kind == "rel" {
-            if self.text.takes(b'=')? {
-                self.value(0)?;
-            }
-            if self.text.ahead()? == Some(b'(') {
-                self.text.skip_brackets()?;
-            }
-            return Ok(());
-        }
         let node = self.add(parent, &name)?;
-        self.nodes[node].is_attribute = true;
+        self.nodes[node].is_attribute = kind != "rel";
         let element = element_type(&kind).filter(|_| is_array);
         let shown = if is_array { kind + "[]" } else { kind };
         self.set(node, "typeName", Value::Word(shown));
@@ -457,27 +433,19 @@ impl UsdaParser<'_, '_> {
                 }
             }
         }
-        if self.text.ahead()? == Some(b'(') {
-            self.metadata(node)?;
-        }
-        Ok(())
+        self.metadata(node)
     }
 
     /// The value of an attribute. An array is only located.
     fn typed_value(&mut self, is_array: bool, element: Option<ArrayElement>) -> Result<Value> {
-        if !is_array || self.text.ahead()? != Some(b'[') {
-            let value = self.value(0)?;
-            return Ok(match value {
-                Value::Blocked => value,
-                _ if is_array => {
-                    self.text.skip_space()?;
-                    if self.text.peek()? == Some(b'[') {
-                        self.text.skip_brackets()?;
-                    }
-                    Value::Unread("an edit of an array")
-                }
-                _ => value,
-            });
+        if !is_array {
+            return self.value(0);
+        }
+        if self.text.ahead()? != Some(b'[') {
+            return match self.value(0)? {
+                Value::Blocked => Ok(Value::Blocked),
+                _ => Err(self.text.invalid("expected an array; edits of arrays are not supported")),
+            };
         }
         let (start, line) = (self.text.offset(), self.text.line);
         let end = self.text.skip_brackets()?;
@@ -493,7 +461,7 @@ impl UsdaParser<'_, '_> {
         while !self.text.takes(b'}')? {
             let code = self.text.number()?;
             self.text.expect(b':')?;
-            self.text.source.claim(size_of::<(f64, Value)>() * 2)?;
+            self.text.source.claim(2, size_of::<(f64, Value)>())?;
             samples.push((code, self.typed_value(is_array, element)?));
             self.text.takes(b',')?;
         }
@@ -502,9 +470,11 @@ impl UsdaParser<'_, '_> {
         Ok(TimeSamples { codes, values: SampleValues::Text(values) })
     }
 
-    /// The fields in parentheses.
+    /// The fields in parentheses, if there are some.
     fn metadata(&mut self, node: usize) -> Result<()> {
-        self.text.expect(b'(')?;
+        if !self.text.takes(b'(')? {
+            return Ok(());
+        }
         while !self.text.takes(b')')? {
             if let Some(b'"' | b'\'') = self.text.ahead()? {
                 self.text.quoted()?; // documentation
@@ -525,12 +495,7 @@ impl UsdaParser<'_, '_> {
                 other => other,
             }
             .to_owned();
-            let old = match &self.nodes[node].fields {
-                NodeFields::List(fields) => {
-                    fields.iter().find(|(name, _)| *name == field).map(|(_, value)| value.clone())
-                }
-                NodeFields::Set(_) => None,
-            };
+            let old = self.nodes[node].fields.take(&field);
             let value = match field.as_str() {
                 "references" | "payload" | "subLayers" => {
                     let items = self.arcs()?;
@@ -559,21 +524,18 @@ impl UsdaParser<'_, '_> {
     fn arcs(&mut self) -> Result<Vec<LayerArc>> {
         let mut arcs = Vec::new();
         let is_list = self.text.takes(b'[')?;
-        loop {
+        while !(is_list && self.text.takes(b']')?) {
             match self.text.ahead()? {
-                Some(b']') if is_list => {
-                    self.text.bump();
-                    return Ok(arcs);
-                }
                 Some(b',') if is_list => self.text.bump(),
                 Some(b'@' | b'<') => arcs.push(self.arc()?),
-                _ if !is_list && self.text.word()? == "None" => return Ok(arcs),
+                _ if self.text.word()? == "None" => {}
                 _ => return Err(self.text.invalid("expected the path of a file between @")),
             }
             if !is_list {
-                return Ok(arcs);
+                break;
             }
         }
+        Ok(arcs)
     }
 
     fn arc(&mut self) -> Result<LayerArc> {
@@ -638,12 +600,8 @@ impl UsdaParser<'_, '_> {
                 Value::Numbers(more) => numbers.extend(more),
                 _ => is_other = true,
             }
-            self.text.source.claim(size_of::<f64>())?;
+            self.text.source.claim(1, size_of::<f64>())?;
             self.text.takes(b',')?;
-            // The time of a sublayer or a reference.
-            if self.text.ahead()? == Some(b'(') && !words.is_empty() {
-                self.text.skip_brackets()?;
-            }
         }
         Ok(match (words.is_empty(), numbers.is_empty(), is_other) {
             (_, true, false) => Value::Words(words),
@@ -652,27 +610,29 @@ impl UsdaParser<'_, '_> {
         })
     }
 
+    /// A name, which may be quoted.
+    fn key(&mut self) -> Result<String> {
+        match self.text.ahead()? {
+            Some(b'"' | b'\'' | b'<') => self.text.quoted(),
+            _ => self.text.word(),
+        }
+    }
+
     fn dictionary(&mut self, depth: usize) -> Result<Value> {
         self.text.expect(b'{')?;
         let mut entries = Vec::new();
         while !self.text.takes(b'}')? {
             // `string name = value`, or `"old": "new"` in lists of relocated paths
-            let mut key = match self.text.ahead()? {
-                Some(b'"' | b'\'' | b'<') => self.text.quoted()?,
-                _ => self.text.word()?,
-            };
+            let mut key = self.key()?;
             if self.text.takes(b'[')? {
                 self.text.expect(b']')?;
             }
             if !self.text.takes(b':')? && !self.text.takes(b'=')? {
-                key = match self.text.ahead()? {
-                    Some(b'"' | b'\'') => self.text.quoted()?,
-                    _ => self.text.word()?,
-                };
+                key = self.key()?;
                 self.text.expect(b'=')?;
             }
             let value = self.value(depth + 1)?;
-            self.text.source.claim(size_of::<(String, Value)>())?;
+            self.text.source.claim(1, size_of::<(String, Value)>())?;
             entries.push((key, value));
             self.text.takes(b',')?;
         }
@@ -694,118 +654,92 @@ fn with_edit<T>(mut edits: ListEdits<T>, edit: Option<&str>, items: Vec<T>) -> L
 
 /// The elements of an array of this type, such as `point3f`.
 fn element_type(kind: &str) -> Option<ArrayElement> {
-    let number = match kind {
+    use NumberType::{Bool, F16, F32, F64, I32, I64, U8, U32, U64};
+    let (number, arity) = match kind {
         "string" | "token" | "asset" => return Some(ArrayElement::Words),
-        "bool" => (NumberType::Bool, 1),
-        "uchar" => (NumberType::U8, 1),
-        "int" => (NumberType::I32, 1),
-        "uint" => (NumberType::U32, 1),
-        "int64" => (NumberType::I64, 1),
-        "uint64" => (NumberType::U64, 1),
-        "half" => (NumberType::F16, 1),
-        "float" => (NumberType::F32, 1),
-        "double" | "timecode" => (NumberType::F64, 1),
-        "quath" => (NumberType::F16, 4),
-        "quatf" => (NumberType::F32, 4),
-        "quatd" => (NumberType::F64, 4),
-        "matrix2d" => (NumberType::F64, 4),
-        "matrix3d" => (NumberType::F64, 9),
-        "matrix4d" | "frame4d" => (NumberType::F64, 16),
-        _ => return vector_type(kind),
-    };
-    Some(ArrayElement::Numbers(number.0, number.1))
-}
-
-/// `float3`, or with a role, `point3f`.
-fn vector_type(kind: &str) -> Option<ArrayElement> {
-    let digit = kind.find(|c: char| c.is_ascii_digit())?;
-    let (stem, rest) = kind.split_at(digit);
-    let arity = ["2", "3", "4"].iter().position(|digit| rest.starts_with(digit))? + 2;
-    let number = match (stem, &rest[1..]) {
-        ("int", "") => NumberType::I32,
-        ("half", "") => NumberType::F16,
-        ("float", "") => NumberType::F32,
-        ("double", "") => NumberType::F64,
-        ("point" | "normal" | "vector" | "color" | "texCoord", "h") => NumberType::F16,
-        ("point" | "normal" | "vector" | "color" | "texCoord", "f") => NumberType::F32,
-        ("point" | "normal" | "vector" | "color" | "texCoord", "d") => NumberType::F64,
-        _ => return None,
+        "bool" => (Bool, 1),
+        "uchar" => (U8, 1),
+        "int" => (I32, 1),
+        "uint" => (U32, 1),
+        "int64" => (I64, 1),
+        "uint64" => (U64, 1),
+        "half" => (F16, 1),
+        "float" => (F32, 1),
+        "double" | "timecode" => (F64, 1),
+        "quath" => (F16, 4),
+        "quatf" => (F32, 4),
+        "quatd" | "matrix2d" => (F64, 4),
+        "matrix3d" => (F64, 9),
+        "matrix4d" | "frame4d" => (F64, 16),
+        // `float3` or, with a role, `point3f`
+        _ => {
+            let (stem, rest) = kind.split_at(kind.find(|c: char| c.is_ascii_digit())?);
+            let arity = ["2", "3", "4"].iter().position(|digit| rest.starts_with(digit))? + 2;
+            let has_role = ["point", "normal", "vector", "color", "texCoord"].contains(&stem);
+            let number = match (stem, &rest[1..]) {
+                ("int", "") => I32,
+                ("half", "") => F16,
+                ("float", "") => F32,
+                ("double", "") => F64,
+                (_, "h") if has_role => F16,
+                (_, "f") if has_role => F32,
+                (_, "d") if has_role => F64,
+                _ => return None,
+            };
+            (number, arity)
+        }
     };
     Some(ArrayElement::Numbers(number, arity))
 }
 
-impl TextFile<'_> {
-    /// Sets the count of bytes to 0.
-    pub(crate) fn start_anew(&self) {
-        self.unpacked.set(0);
-    }
-
-    /// Counts bytes that are about to be allocated; fails if the sum exceeds the limit.
-    fn claim(&self, bytes: usize) -> Result<()> {
-        self.unpacked.set(self.unpacked.get().saturating_add(bytes as u64));
-        self.limits.check_decompressed(FORMAT, self.unpacked.get(), self.size)
-    }
-
-    /// Reads the array in these bytes, which start at a line: the number of values per element, and all values.
-    pub(crate) fn array(&self, kind: ArrayElement, range: Range<u64>, line: u64) -> Result<(usize, Values)> {
-        let text = &mut WindowedText::new(self, range, line);
-        let ArrayElement::Numbers(number, arity) = kind else {
-            let mut table = Vec::new();
-            elements(text, 1, |text| {
-                table.push(text.quoted()?);
-                Ok(())
-            })?;
-            let indices = 0..i32::try_from(table.len()).map_err(|_| text.invalid("too many strings"))?;
-            return Ok((1, Values::Strings { indices: indices.collect(), table }));
-        };
-        let values = match number {
-            NumberType::F16 | NumberType::F32 => {
-                Values::F32(self.numbers(text, arity, |w| fast_float2::parse(w).ok())?)
-            }
-            NumberType::F64 => Values::F64(self.numbers(text, arity, parsed)?),
-            NumberType::Bool => Values::U8(self.numbers(text, arity, |w| Some(u8::from(parsed(w)? != 0.0)))?),
-            NumberType::U8 => Values::U8(self.numbers(text, arity, |w| w.parse().ok())?),
-            NumberType::U32 => {
-                Values::I64(self.numbers(text, arity, |w| w.parse::<u32>().ok().map(i64::from))?)
-            }
-            NumberType::U64 => {
-                let values: Vec<u64> = self.numbers(text, arity, |w| w.parse().ok())?;
-                let signed: Option<Vec<i64>> =
-                    values.iter().map(|&value| i64::try_from(value).ok()).collect();
-                let wide = || Values::F64(values.iter().map(|&value| value as f64).collect());
-                signed.map_or_else(wide, Values::I64)
-            }
-            NumberType::I64 => Values::I64(self.numbers(text, arity, |w| w.parse().ok())?),
-            _ => Values::I32(self.numbers(text, arity, |w| w.parse().ok())?),
-        };
-        Ok((arity, values))
-    }
-
-    fn numbers<T>(
-        &self,
-        text: &mut WindowedText,
-        arity: usize,
-        parse: impl Fn(&str) -> Option<T>,
-    ) -> Result<Vec<T>> {
-        let mut numbers = Vec::new();
-        let mut word = Vec::new();
-        elements(text, arity, |text| {
-            word.clear();
-            while let Some(byte) =
-                text.peek()?.filter(|byte| byte.is_ascii_alphanumeric() || b"+-._".contains(byte))
-            {
-                text.push(&mut word, byte)?;
-                text.bump();
-            }
-            let number = str::from_utf8(&word).ok().and_then(&parse);
-            let number = number
-                .ok_or_else(|| text.invalid(format!("expected a number, found `{}`", excerpt(&word))))?;
-            self.claim(2 * size_of::<T>())?;
-            numbers.push(number);
+/// Reads the array in these bytes, which start at a line: the number of values per element, and all values.
+pub(crate) fn read_array(
+    file: &LimitedBytes,
+    kind: ArrayElement,
+    range: Range<u64>,
+    line: u64,
+) -> Result<(usize, Values)> {
+    let text = &mut WindowedText::new(file, range, line);
+    let ArrayElement::Numbers(number, arity) = kind else {
+        let mut table = Vec::new();
+        elements(text, 1, |text| {
+            table.push(text.quoted()?);
             Ok(())
         })?;
-        Ok(numbers)
+        let indices = 0..i32::try_from(table.len()).map_err(|_| text.invalid("too many strings"))?;
+        return Ok((1, Values::Strings { indices: indices.collect(), table }));
+    };
+    // Half floats are read as floats, which they decode to.
+    let number = if number == NumberType::F16 { NumberType::F32 } else { number };
+    let (mut bytes, mut word) = (Vec::new(), Vec::new());
+    elements(text, arity, |text| {
+        word.clear();
+        while let Some(byte) =
+            text.peek()?.filter(|byte| byte.is_ascii_alphanumeric() || b"+-._".contains(byte))
+        {
+            text.push(&mut word, byte)?;
+            text.bump();
+        }
+        file.claim(4, number.size())?;
+        let put = str::from_utf8(&word).ok().and_then(|word| append(number, word, &mut bytes));
+        put.ok_or_else(|| text.invalid(format!("expected a number, found `{}`", excerpt(&word))))
+    })?;
+    Ok((arity, number.decode(&bytes, Endian::Little)))
+}
+
+/// Appends the bytes of a number of this type.
+fn append(number: NumberType, word: &str, bytes: &mut Vec<u8>) -> Option<()> {
+    match number {
+        NumberType::F32 => bytes.extend(fast_float2::parse::<f32, _>(word).ok()?.to_le_bytes()),
+        NumberType::F64 => bytes.extend(parsed(word)?.to_le_bytes()),
+        NumberType::Bool => bytes.push(u8::from(parsed(word)? != 0.0)),
+        NumberType::U8 => bytes.push(word.parse().ok()?),
+        NumberType::U32 => bytes.extend(word.parse::<u32>().ok()?.to_le_bytes()),
+        NumberType::U64 => bytes.extend(word.parse::<u64>().ok()?.to_le_bytes()),
+        NumberType::I64 => bytes.extend(word.parse::<i64>().ok()?.to_le_bytes()),
+        _ => bytes.extend(word.parse::<i32>().ok()?.to_le_bytes()),
     }
+    Some(())
 }
 
 /// Reads the elements of an array in brackets. Those of several values are in parentheses, which matrices nest.

@@ -3,7 +3,6 @@
 //! The tables are read at once; values and arrays are read from the file when they are needed. All that is
 //! read counts towards the limit of decompressed bytes, because several values can refer to the same bytes.
 
-use std::cell::Cell;
 use std::sync::Arc;
 
 use super::array::{AS_INTEGERS, AS_TABLE, COMPRESSED_MIN, Integer, decode, decompress, encoded_bytes_max};
@@ -15,17 +14,17 @@ use crate::bytes::Endian;
 use crate::data::Values;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::number::{NumberType, append_bytes};
+use crate::number::{NumberType, append_bytes, gathered};
 use crate::usd::FORMAT;
 use crate::usd::layer::{
     ArrayElement, ArrayPlace, Layer, LayerArc, LayerNode, LayerSource, ListEdits, NODE_BYTES, NodeFields,
     SampleValues, TimeSamples, Value, add_node, unexpected, wide,
 };
-use crate::usd::package::LayerBytes;
+use crate::usd::package::{LayerBytes, LimitedBytes};
 
 /// A binary file, and its tables.
 pub(crate) struct CrateFile<'a> {
-    pub(crate) source: Source<'a>,
+    pub(crate) source: LimitedBytes<'a>,
     version: [u8; 3],
     tokens: Vec<Arc<str>>,
     strings: Vec<u32>,
@@ -50,14 +49,15 @@ struct CratePath {
 /// [`Error::Truncated`] if the file is truncated; [`Error::Unsupported`] for other versions;
 /// [`Error::Invalid`] if it is damaged; [`Error::TooLarge`] if it exceeds the limits.
 pub(crate) fn read_layer<'a>(file: LayerBytes<'a>, limits: &Limits) -> Result<Layer<'a>> {
-    let size = file.length;
-    let source = Source { file, size, limits: *limits, unpacked: Cell::new(0) };
-    let head = source.at(0)?.take(size.min(BOOTSTRAP_BYTES as u64), "the bootstrap")?;
+    let source = LimitedBytes::new(file, limits);
+    let size = source.length();
+    let head = cursor_at(&source, 0)?.take(size.min(BOOTSTRAP_BYTES as u64), "the bootstrap")?;
     let (at, version) = contents_at(&head)?;
     check_contents_at(at, size)?;
-    let contents = source.at(at)?.take((size - at).min(CONTENTS_BYTES_MAX), "the table of contents")?;
+    let contents =
+        cursor_at(&source, at)?.take((size - at).min(CONTENTS_BYTES_MAX), "the table of contents")?;
     let sections = read_contents(&contents, at)?;
-    let section = |index: usize| source.at(sections[index].0);
+    let section = |index: usize| cursor_at(&source, sections[index].0);
     let tokens = read_tokens(section(0)?)?;
     let mut cursor = section(1)?;
     let count = cursor.count("strings")?;
@@ -193,6 +193,10 @@ impl<'a> CrateFile<'a> {
         }
     }
 
+    fn at(&self, offset: u64) -> Result<CrateCursor<'_, 'a>> {
+        cursor_at(&self.source, offset)
+    }
+
     fn token(&self, index: u32) -> Result<&Arc<str>> {
         let missing = || Error::invalid(FORMAT, Position::File, format!("there is no token {index}"));
         self.tokens.get(index as usize).ok_or_else(missing)
@@ -268,40 +272,40 @@ impl<'a> CrateFile<'a> {
         }
         let inlined = u32::try_from(rep.payload()).unwrap_or(u32::MAX);
         match (rep.is_inlined(), code) {
-            (_, VALUE_BLOCK) => return Ok(Value::Blocked),
-            (true, STRING) => return Ok(Value::Word(self.owned(self.string(inlined)?)?)),
-            (true, TOKEN | ASSET) => return Ok(Value::Word(self.owned(self.token(inlined)?)?)),
-            (true, DICTIONARY) => return Ok(Value::Dictionary(Vec::new())),
+            (_, 51) => return Ok(Value::Blocked),
+            (true, 10) => return Ok(Value::Word(self.owned(self.string(inlined)?)?)),
+            (true, 11 | 12) => return Ok(Value::Word(self.owned(self.token(inlined)?)?)),
+            (true, 31) => return Ok(Value::Dictionary(Vec::new())),
             (true, _) => return Ok(Value::Unread("an inlined value")),
             (false, _) => {}
         }
-        let mut cursor = self.source.at(rep.payload())?;
+        let mut cursor = self.at(rep.payload())?;
         let token = |cursor: &mut CrateCursor| self.owned(self.token(cursor.u32("a token")?)?);
         let string = |cursor: &mut CrateCursor| self.owned(self.string(cursor.u32("a string")?)?);
         let path = |cursor: &mut CrateCursor| self.path(cursor.u32("a path")?);
         let arc = |cursor: &mut CrateCursor| self.arc(cursor, true);
         let payload = |cursor: &mut CrateCursor| self.arc(cursor, false);
         Ok(match code {
-            DICTIONARY => Value::Dictionary(self.dictionary(&mut cursor)?),
-            TOKEN_LIST => Value::WordEdits(edits(&mut cursor, token)?),
-            STRING_LIST => Value::WordEdits(edits(&mut cursor, string)?),
-            PATH_LIST => Value::WordEdits(edits(&mut cursor, path)?),
-            REFERENCE_LIST => Value::ArcEdits(edits(&mut cursor, arc)?),
-            PAYLOAD_LIST => Value::ArcEdits(edits(&mut cursor, payload)?),
-            PAYLOAD => {
+            31 => Value::Dictionary(self.dictionary(&mut cursor)?),
+            32 => Value::WordEdits(edits(&mut cursor, token)?),
+            33 => Value::WordEdits(edits(&mut cursor, string)?),
+            34 => Value::WordEdits(edits(&mut cursor, path)?),
+            35 => Value::ArcEdits(edits(&mut cursor, arc)?),
+            55 => Value::ArcEdits(edits(&mut cursor, payload)?),
+            47 => {
                 let explicit = Some(vec![payload(&mut cursor)?]);
                 Value::ArcEdits(ListEdits { explicit, ..ListEdits::default() })
             }
-            PATHS => Value::Words(items(&mut cursor, path)?),
-            TOKENS => Value::Words(items(&mut cursor, token)?),
-            STRINGS => Value::Words(items(&mut cursor, string)?),
-            SELECTIONS => Value::Dictionary(items(&mut cursor, |cursor| {
+            40 => Value::Words(items(&mut cursor, path)?),
+            41 => Value::Words(items(&mut cursor, token)?),
+            50 => Value::Words(items(&mut cursor, string)?),
+            45 => Value::Dictionary(items(&mut cursor, |cursor| {
                 Ok((string(cursor)?, Value::Word(string(cursor)?)))
             })?),
-            OFFSETS => {
+            49 => {
                 Value::Offsets(items(&mut cursor, |cursor| Ok([cursor.f64("time")?, cursor.f64("time")?]))?)
             }
-            TIME_SAMPLES => Value::Samples(Arc::new(self.samples(&mut cursor, what)?)),
+            46 => Value::Samples(Arc::new(self.samples(&mut cursor, what)?)),
             _ => Value::Unread("a value of a type that is not supported"),
         })
     }
@@ -311,7 +315,7 @@ impl<'a> CrateFile<'a> {
         let (payload, width) = (rep.payload().to_le_bytes(), number.size());
         let decoded = |number: NumberType, bytes: &[u8]| wide(&number.decode(bytes, Endian::Little));
         if !rep.is_inlined() {
-            let bytes = self.source.at(rep.payload())?.take((arity * width) as u64, what)?;
+            let bytes = self.at(rep.payload())?.take((arity * width) as u64, what)?;
             return Ok(in_order(rep, decoded(number, &bytes)));
         }
         Ok(match (number, arity) {
@@ -378,7 +382,7 @@ impl<'a> CrateFile<'a> {
         if (times.type_code(), times.is_inlined()) != (ValueType::DoubleVector as u8, false) {
             return Err(at.invalid(format!("the times of {what} are not numbers")));
         }
-        let mut cursor = self.source.at(times.payload())?;
+        let mut cursor = self.at(times.payload())?;
         let found = cursor.count("times")?;
         if found != count {
             return Err(at.invalid(format!("{what} has {count} time samples, but {found} time codes")));
@@ -395,7 +399,7 @@ impl<'a> CrateFile<'a> {
         let rep = ValueRep(rep);
         let kind =
             element_type(rep.type_code()).filter(|_| rep.is_array()).ok_or_else(|| unexpected(what))?;
-        let mut cursor = self.source.at(rep.payload())?;
+        let mut cursor = self.at(rep.payload())?;
         let count = match rep.payload() {
             0 => 0,
             _ => {
@@ -411,7 +415,7 @@ impl<'a> CrateFile<'a> {
         match kind {
             ArrayElement::Words => {
                 let indices = cursor.u32s(count, what)?;
-                let is_token = rep.type_code() == TOKEN;
+                let is_token = rep.type_code() == 11;
                 let word =
                     |index: u32| self.owned(if is_token { self.token(index)? } else { self.string(index)? });
                 let table = indices.into_iter().map(word).collect::<Result<Vec<String>>>()?;
@@ -465,14 +469,7 @@ fn compressed(cursor: &mut CrateCursor, number: NumberType, count: usize, what: 
         }
         code => return Err(at.invalid(format!("unknown compression {code} of {what}"))),
     };
-    fn gather<T: Copy>(table: &[T], indices: &[i32]) -> Option<Vec<T>> {
-        indices.iter().map(|&index| table.get(usize::try_from(index).ok()?).copied()).collect()
-    }
-    let values = match &table {
-        Values::F32(table) => gather(table, &indices).map(Values::F32),
-        Values::F64(table) => gather(table, &indices).map(Values::F64),
-        _ => None,
-    };
+    let values = gathered(&table, 1, &indices);
     values.ok_or_else(|| at.invalid(format!("an index of {what} is beyond the end of its table")))
 }
 
@@ -489,7 +486,7 @@ fn element_type(code: u8) -> Option<ArrayElement> {
         7 => (F16, 1),
         8 => (F32, 1),
         9 | 56 => (F64, 1), // also time codes
-        STRING | TOKEN | ASSET => return Some(ArrayElement::Words),
+        10..=12 => return Some(ArrayElement::Words),
         13 => (F64, 4), // matrices
         14 => (F64, 9),
         15 => (F64, 16),
@@ -507,7 +504,7 @@ fn element_type(code: u8) -> Option<ArrayElement> {
 
 /// Moves the real part of a quaternion, which is the last number in the file, to the front, as in the text form.
 fn in_order<T>(rep: ValueRep, mut numbers: Vec<T>) -> Vec<T> {
-    if (ValueType::Quatd as u8..=ValueType::Quath as u8).contains(&rep.type_code()) {
+    if (16..=18).contains(&rep.type_code()) {
         numbers.chunks_exact_mut(4).for_each(|quaternion| quaternion.rotate_right(1));
     }
     numbers
@@ -520,24 +517,6 @@ fn in_order_all(rep: ValueRep, arity: usize, values: Values) -> Values {
         other => other,
     }
 }
-
-const STRING: u8 = ValueType::String as u8;
-const TOKEN: u8 = ValueType::Token as u8;
-const ASSET: u8 = ValueType::Asset as u8;
-const DICTIONARY: u8 = ValueType::Dictionary as u8;
-const TOKEN_LIST: u8 = ValueType::TokenListOp as u8;
-const STRING_LIST: u8 = ValueType::StringListOp as u8;
-const PATH_LIST: u8 = ValueType::PathListOp as u8;
-const REFERENCE_LIST: u8 = ValueType::ReferenceListOp as u8;
-const PAYLOAD_LIST: u8 = ValueType::PayloadListOp as u8;
-const PAYLOAD: u8 = ValueType::Payload as u8;
-const PATHS: u8 = ValueType::PathVector as u8;
-const TOKENS: u8 = ValueType::TokenVector as u8;
-const STRINGS: u8 = ValueType::StringVector as u8;
-const SELECTIONS: u8 = ValueType::VariantSelectionMap as u8;
-const OFFSETS: u8 = ValueType::LayerOffsetVector as u8;
-const TIME_SAMPLES: u8 = ValueType::TimeSamples as u8;
-const VALUE_BLOCK: u8 = ValueType::ValueBlock as u8;
 
 /// Reads a count and as many items.
 fn items<'c, 'a, T>(
@@ -568,40 +547,28 @@ fn edits<'c, 'a, T>(
     Ok(ListEdits { explicit, deleted, prepended, appended })
 }
 
-/// The bytes of a file, and the number of bytes that were read since [`Source::start_anew`].
-pub(crate) struct Source<'a> {
-    file: LayerBytes<'a>,
-    size: u64,
-    limits: Limits,
-    unpacked: Cell<u64>,
+/// A cursor at an offset.
+fn cursor_at<'c, 'a>(source: &'c LimitedBytes<'a>, offset: u64) -> Result<CrateCursor<'c, 'a>> {
+    if offset > source.length() {
+        let what = format!("a value would be at {offset}, beyond the end of the file at {}", source.length());
+        return Err(Error::invalid(FORMAT, Position::Offset(offset), what));
+    }
+    Ok(CrateCursor { source, at: offset })
 }
 
-impl<'a> Source<'a> {
-    /// Sets the count of bytes to 0.
-    pub(crate) fn start_anew(&self) {
-        self.unpacked.set(0);
-    }
-
-    fn at(&self, offset: u64) -> Result<CrateCursor<'_, 'a>> {
-        if offset > self.size {
-            let what = format!("a value would be at {offset}, beyond the end of the file at {}", self.size);
-            return Err(Error::invalid(FORMAT, Position::Offset(offset), what));
+/// Methods of [`CrateCursor`] with the name of a type: each takes the next number.
+macro_rules! number_methods {
+    ($($number:ident)*) => {$(
+        fn $number(&mut self, what: &str) -> Result<$number> {
+            Ok($number::from_le_bytes(self.array(what)?))
         }
-        Ok(CrateCursor { source: self, at: offset })
-    }
-
-    /// Counts bytes that are about to be allocated; fails if the sum exceeds the limit.
-    pub(crate) fn claim(&self, count: usize, bytes_each: usize) -> Result<()> {
-        let bytes = (count as u64).saturating_mul(bytes_each as u64);
-        self.unpacked.set(self.unpacked.get().saturating_add(bytes));
-        self.limits.check_decompressed(FORMAT, self.unpacked.get(), self.size)
-    }
+    )*};
 }
 
 /// A read position in a file.
 #[derive(Clone)]
 struct CrateCursor<'c, 'a> {
-    source: &'c Source<'a>,
+    source: &'c LimitedBytes<'a>,
     at: u64,
 }
 
@@ -611,7 +578,7 @@ impl CrateCursor<'_, '_> {
     }
 
     fn take(&mut self, length: u64, what: &str) -> Result<Vec<u8>> {
-        let rest = self.source.size - self.at;
+        let rest = self.source.length() - self.at;
         let length = match usize::try_from(length) {
             Ok(count) if length <= rest => count,
             _ => {
@@ -621,7 +588,7 @@ impl CrateCursor<'_, '_> {
         };
         self.source.claim(length, 1)?;
         let mut bytes = vec![0; length];
-        self.source.file.read(&mut bytes, self.at)?;
+        self.source.read(&mut bytes, self.at)?;
         self.at += length as u64;
         Ok(bytes)
     }
@@ -633,36 +600,22 @@ impl CrateCursor<'_, '_> {
 
     fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N]> {
         let mut array = [0; N];
-        if self.source.size - self.at < N as u64 {
+        if self.source.length() - self.at < N as u64 {
             let what = format!("expected {N} bytes of {what}, found the end");
             return Err(Error::truncated(FORMAT, Position::Offset(self.at), what));
         }
-        self.source.file.read(&mut array, self.at)?;
+        self.source.read(&mut array, self.at)?;
         self.at += N as u64;
         Ok(array)
     }
 
-    fn u8(&mut self, what: &str) -> Result<u8> {
-        Ok(u8::from_le_bytes(self.array(what)?))
-    }
-
-    fn u32(&mut self, what: &str) -> Result<u32> {
-        Ok(u32::from_le_bytes(self.array(what)?))
-    }
-
-    fn u64(&mut self, what: &str) -> Result<u64> {
-        Ok(u64::from_le_bytes(self.array(what)?))
-    }
-
-    fn f64(&mut self, what: &str) -> Result<f64> {
-        Ok(f64::from_le_bytes(self.array(what)?))
-    }
+    number_methods! { u8 u32 u64 f64 }
 
     /// Reads an offset, relative to where it is, and continues there.
     fn jump(&mut self, what: &str) -> Result<()> {
         let start = self.at;
         let offset = i64::from_le_bytes(self.array(what)?);
-        let target = start.checked_add_signed(offset).filter(|target| *target <= self.source.size);
+        let target = start.checked_add_signed(offset).filter(|target| *target <= self.source.length());
         self.at = target.ok_or_else(|| self.invalid(format!("{what} would be outside the file")))?;
         Ok(())
     }

@@ -182,7 +182,7 @@ pub(super) fn append_count(count: usize, out: &mut Vec<u8>) {
 //   63      62        61           60     55..48   47..0
 //   array   inlined   compressed   edit   type     the value, if inlined; else its offset
 
-/// The types of values that are written, or read other than as numbers, by their codes in the format.
+/// The types of values that this crate writes, by their codes in the format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub(super) enum ValueType {
@@ -193,9 +193,6 @@ pub(super) enum ValueType {
     Double = 9,
     String = 10,
     Token = 11,
-    Asset = 12,
-    Quatd = 16,
-    Quath = 18,
     Vec2f = 20,
     Vec2i = 22,
     Vec3d = 23,
@@ -204,22 +201,11 @@ pub(super) enum ValueType {
     Vec4f = 28,
     Vec4i = 30,
     Dictionary = 31,
-    TokenListOp = 32,
-    StringListOp = 33,
-    PathListOp = 34,
-    ReferenceListOp = 35,
-    PathVector = 40,
     TokenVector = 41,
     Specifier = 42,
     Variability = 44,
-    VariantSelectionMap = 45,
     TimeSamples = 46,
-    Payload = 47,
     DoubleVector = 48,
-    LayerOffsetVector = 49,
-    StringVector = 50,
-    ValueBlock = 51,
-    PayloadListOp = 55,
 }
 
 /// A value or a reference to it.
