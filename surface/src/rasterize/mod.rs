@@ -11,7 +11,7 @@
 //! distance and is kept unchanged. Inside the union, that value is not the distance to the surface: however
 //! deep a voxel lies, some center is near it. So inside, only the voxels next to the surface keep the value,
 //! and fast sweeping computes the others from them. The zero sets of the bounds are therefore those of the
-//! spheres themselves.
+//! spheres themselves. Only there do bounds bind, so they are computed near them and are open elsewhere.
 //!
 //! Most of a frame is deep inside. `Culling` determines which particles and leaves can affect the surface;
 //! nothing else is stored:
@@ -66,14 +66,19 @@ pub struct Radii {
     /// Lower bound of all semi-axes, in units of the radii, also at a particle's own `init`: 1 for uniform
     /// balls.
     pub min_scale: f32,
-    /// The semi-axis for which the width of the band is computed, in units of the radii: 1 for uniform balls.
-    /// If particles have longer semi-axes, the band is too narrow for the surface to move quite as far as
-    /// their bounds would allow.
+    /// The semi-axis for whose bounds the band is wide enough, in units of the radii: 1 for uniform balls. If
+    /// particles have longer semi-axes, the band is too narrow for the surface to move quite as far as their
+    /// bounds would allow. 0 for a band that is only as wide as smoothing reads.
     pub band_scale: f32,
     /// Offset of the finished surface, in voxels: positive outward, negative inward. The band is wide enough
     /// for it.
     pub offset: f32,
 }
+
+/// Bounds are distances up to this far from their zero set, in voxels: so far that one is next to every voxel
+/// at which it can bind. Farther away they only say on which side of it φ stays, by at least this distance.
+/// The surface differs from that with bounds everywhere by a hundredth of a voxel.
+const BOUND_REACH: f32 = 1.5;
 
 /// Exact distances are kept up to this far beyond r_max, in voxels; fast sweeping computes those beyond.
 const EXACT_MARGIN: f32 = 2.0;
@@ -91,7 +96,8 @@ impl Radii {
     }
 
     /// Half width that smoothing needs at most (Eq. 7), in voxels: it reads values up to 5 voxels from the
-    /// surface, and the surface may move to either bound. The band of the result has this half width, too.
+    /// surface, and the surface may move to either bound of the semi-axis `band_scale`. The band of the result
+    /// has this half width, too.
     pub fn result_half_width(&self) -> f32 {
         let gap = (self.max - self.init).max(self.init - self.min) * self.band_scale;
         // Tolerates rounding: radii that differ by whole voxels need no extra voxel.
@@ -103,14 +109,20 @@ impl Radii {
     /// away; two leaves, which may appear or disappear with φ_0; and that of the sweeps of the bounds on
     /// these leaves. `longest` is the longest semi-axis of any particle, in units of the radii.
     pub fn reach_voxels(&self, longest: f32) -> u32 {
-        let swept = 2 * sweep_count(self.half_width());
-        self.exact_reach(longest).ceil() as u32 + swept + 2 * LEAF_EDGE as u32 + swept
+        let swept = [self.half_width(), BOUND_REACH].map(|reach| 2 * sweep_count(reach));
+        self.exact_reach(longest).ceil() as u32 + swept[0] + 2 * LEAF_EDGE as u32 + swept[1]
     }
 
     /// Number of leaves around a window that are rasterized with it.
     pub fn window_halo_leaves(&self) -> i32 {
-        let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::ZERO }, *self, self.band_scale);
+        let window = CoordBox { min: IVec3::ZERO, max: IVec3::ZERO };
+        let regions = Regions::new(window, *self, self.usual_longest());
         (regions.own.min.x - regions.measured.min.x) / LEAF_EDGE
+    }
+
+    /// The longest semi-axis that plans assume, in units of the radii.
+    fn usual_longest(&self) -> f32 {
+        self.band_scale.max(1.0)
     }
 
     /// Distance from a particle's center up to which exact distances are kept, in voxels. `longest` is the
@@ -269,9 +281,9 @@ fn measure(
     let culling = Culling::new(occupancy, scene, regions);
     let bins = ParticleBins::new(source, &scene.lattice, occupancy, &culling, regions)?;
     let solver = DistanceSolver::new(&bins, scene.radii);
-    let near = solver.distances(&culling.near, &culling, None);
+    let near = solver.distances(&culling.near, &culling);
     let topology = Topology::new(leaves_near_surface(&culling, &near, scene, regions));
-    let distances = solver.distances(&topology, &culling, Some((&culling.near, &near)));
+    let distances = solver.extended((&culling.near, near), &topology, &culling);
     Ok(NearDistances { bins, topology, distances })
 }
 
@@ -342,7 +354,8 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     let radii = scene.radii;
     let half_width = radii.half_width();
     let mut scratch = Field::default();
-    let mut phi = signed_distance(&topology, &mut distances, SphereUnion::Init, radii, &mut scratch);
+    let mut phi =
+        signed_distance(&topology, &mut distances, SphereUnion::Init, radii, half_width, &mut scratch);
     let is_banded = |leaf: usize| {
         let origin = topology.origins()[leaf];
         let is_within = |obstacle: &ObstacleLeaf| has_value_within(&phi.leaves[leaf], half_width, obstacle);
@@ -359,8 +372,8 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     }
     rayon::join(|| keep(&mut phi, &kept), || distances.keep(&kept));
     let topology = subset(topology, &kept);
-    let mut lower = signed_distance(&topology, &mut distances, SphereUnion::Max, radii, &mut scratch);
-    let mut upper = signed_distance(&topology, &mut distances, SphereUnion::Min, radii, &mut scratch);
+    let [mut lower, mut upper] = [SphereUnion::Max, SphereUnion::Min]
+        .map(|sphere| signed_distance(&topology, &mut distances, sphere, radii, BOUND_REACH, &mut scratch));
     drop((distances, scratch));
     let own: Vec<usize> =
         (0..topology.len()).filter(|&leaf| regions.own.contains(topology.origins()[leaf])).collect();
@@ -439,9 +452,9 @@ fn sweep_count(half_width: f32) -> u32 {
     (3f32.sqrt() * half_width).ceil() as u32
 }
 
-/// Clamps all values to ± half width, ensures `lower` ≤ `upper` at every voxel (independent sweeps do not
-/// guarantee it), and clamps φ between them. Where φ_0 is above `inner_from`, φ stays at or above
-/// `inner_value`.
+/// Clamps φ to ± half width, and opens the bounds beyond [`BOUND_REACH`]. Ensures `lower` ≤ `upper` at every
+/// voxel (independent sweeps do not guarantee it), and clamps φ between them. Where φ_0 is above `inner_from`,
+/// φ stays at or above `inner_value`.
 fn finish(band: &mut NarrowBand, bounds: &mut Bounds, inner_from: f32, inner_value: f32) {
     let half_width = band.half_width;
     let bounds = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
@@ -469,14 +482,18 @@ impl Kernel for ClampLeaf<'_> {
     #[inline(always)]
     fn run<V: Lanes>(self) {
         let (least, most) = (V::splat(-self.half_width), V::splat(self.half_width));
+        let reach = BOUND_REACH.min(self.half_width);
+        let (inward, outward) = (V::splat(-reach), V::splat(reach));
         let (inner_value, inner_from) = (V::splat(self.inner_value), V::splat(self.inner_from));
         for row in 0..ROW_COUNT {
             let (phi, lower, upper) =
                 (self.phi.row_mut(row), self.lower.row_mut(row), self.upper.row_mut(row));
             let start = V::load(phi).max(least).min(most);
             let lowest = V::select(inner_from.lt(start), inner_value, least);
-            let new_upper = V::load(upper).max(least).min(most);
-            let new_lower = V::load(lower).max(lowest).min(most).min(new_upper);
+            let (given_lower, given_upper) = (V::load(lower), V::load(upper));
+            let new_upper = V::select(outward.lt(given_upper), most, given_upper.max(inward));
+            let open_lower = V::select(given_lower.lt(inward), least, given_lower.min(outward));
+            let new_lower = open_lower.max(lowest).min(new_upper);
             let new_phi = start.max(new_lower).min(new_upper);
             new_upper.store(upper);
             new_lower.store(lower);
@@ -518,11 +535,11 @@ impl Regions {
     /// The regions for the leaves that a window touches. `longest` bounds the semi-axes of all particles, in
     /// units of the radii.
     fn new(window: CoordBox, radii: Radii, longest: f32) -> Regions {
-        let swept_voxels = 2 * sweep_count(radii.half_width()) as i32 + 1;
+        let swept_voxels = |reach| 2 * sweep_count(reach) as i32 + 1;
         let window = CoordBox { min: window.min.max(EVERYWHERE.min), max: window.max.min(EVERYWHERE.max) };
         let own = leaves_around(window, 0);
-        let banded = leaves_around(own, swept_voxels);
-        let swept = leaves_around(banded, swept_voxels);
+        let banded = leaves_around(own, swept_voxels(BOUND_REACH));
+        let swept = leaves_around(banded, swept_voxels(radii.half_width()));
         let crossed = leaves_around(swept, radii.band_margin());
         let measured = leaves_around(crossed, 1);
         // Rounding can put a particle on the upper boundary of its cell, so the index of its voxel may be too
@@ -602,8 +619,8 @@ mod tests_of_regions {
     fn one_leaf_window_needs_these_rings_of_leaves() {
         let radii = Radii::uniform(1.732, 2.598, 3.464);
         let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::splat(7) }, radii, 1.0);
-        // 23 voxels for the sweeps are three leaves; then follow 7 voxels, 1 voxel and 7 voxels.
-        let rings = [0, 3, 6, 7, 8, 9];
+        // 7 and 23 voxels for the sweeps are one and three leaves; then follow 7 voxels, 1 voxel and 7 voxels.
+        let rings = [0, 1, 4, 5, 6, 7];
         let found = [
             regions.own,
             regions.banded,
