@@ -427,15 +427,16 @@ fn keep(field: &mut Field, kept: &[usize]) {
         field.leaves.copy_within(from..from + 1, to);
     }
     field.leaves.truncate(kept.len());
+    field.leaves.shrink_to_fit();
 }
 
-/// Whether a field with memory for `count` leaves is too large for `kept_count` leaves. A small field that
-/// loses a few leaves keeps its memory, because the system takes longer to provide new memory.
+/// Whether a field with memory for `count` leaves is too large for `kept_count` leaves to be made smaller in
+/// place, by one thread: that is faster for a few leaves, because the system takes longer to provide memory.
 fn wastes_memory(count: usize, kept_count: usize) -> bool {
     (count - kept_count) * size_of::<Leaf>() > WASTED_BYTES_MAX
 }
 
-/// Memory per field that may stay unused, in bytes.
+/// Memory of a field that is removed in place, in bytes.
 const WASTED_BYTES_MAX: usize = 2 << 20;
 
 /// The topology that contains only the leaves `kept` of `topology`.
