@@ -131,7 +131,7 @@ const CHOSEN_BY: [&str; 4] =
 
 /// Blocks of this size or larger are returned immediately: fields of small frames, too.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
-const MMAP_THRESHOLD: std::ffi::c_int = 256 << 10;
+const MMAP_THRESHOLD: std::ffi::c_int = 512 << 10;
 
 /// Free memory at the end of an arena is returned once it reaches 4 MiB.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]

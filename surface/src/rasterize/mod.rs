@@ -427,17 +427,16 @@ fn keep(field: &mut Field, kept: &[usize]) {
         field.leaves.copy_within(from..from + 1, to);
     }
     field.leaves.truncate(kept.len());
-    field.leaves.shrink_to_fit();
 }
 
-/// Whether a field with memory for `count` leaves is too large for `kept_count` leaves to be made smaller in
-/// place, by one thread: that is faster for a few leaves, because the system takes longer to provide memory.
+/// Whether a field with memory for `count` leaves is too large for `kept_count` leaves. A field that loses a
+/// few leaves keeps its memory, because the system takes longer to provide new memory.
 fn wastes_memory(count: usize, kept_count: usize) -> bool {
     (count - kept_count) * size_of::<Leaf>() > WASTED_BYTES_MAX
 }
 
-/// Memory of a field that is removed in place, in bytes.
-const WASTED_BYTES_MAX: usize = 2 << 20;
+/// Memory per field that may stay unused, in bytes.
+const WASTED_BYTES_MAX: usize = 256 << 10;
 
 /// The topology that contains only the leaves `kept` of `topology`.
 fn subset(topology: Topology, kept: &[usize]) -> Topology {
