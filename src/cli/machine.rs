@@ -129,7 +129,7 @@ pub fn give_memory_back() {}
 const CHOSEN_BY: [&str; 4] =
     ["MALLOC_MMAP_THRESHOLD_", "MALLOC_TRIM_THRESHOLD_", "MALLOC_ARENA_MAX", "GLIBC_TUNABLES"];
 
-/// Blocks of this size or larger are returned immediately: fields of small frames, too.
+/// Blocks of 512 KiB or more are returned immediately, including fields of small frames.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 const MMAP_THRESHOLD: std::ffi::c_int = 512 << 10;
 

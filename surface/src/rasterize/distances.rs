@@ -3,8 +3,7 @@
 //! ```text
 //!   uniform balls   one field: the distance to the nearest center; subtracting a radius gives the distance
 //!                   to each of the three unions
-//!   others          three fields: the signed distance to each union, because the nearest particle may differ
-//!                   from union to union
+//!   others          three fields: the signed distance to each union
 //! ```
 
 use glam::{IVec3, Vec3};
@@ -103,7 +102,7 @@ impl<'a> DistanceSolver<'a> {
             let leaf = |&origin: &IVec3| match (known_leaves.find(origin), new_leaves.find(origin)) {
                 (Some(leaf), _) => known.leaves[leaf],
                 (None, Some(leaf)) => new.leaves[leaf],
-                (None, None) => Leaf::splat(OUT_OF_REACH),
+                (None, None) => unreachable!("every leaf is known or new"),
             };
             *known = Field { leaves: leaves.origins().par_iter().halved().map(leaf).collect() };
         }

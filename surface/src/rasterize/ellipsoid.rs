@@ -67,17 +67,17 @@ pub(super) trait ParticleShape: Copy + Sync + Send {
     /// radius is `outermost`.
     fn extents(&self, outermost: f32) -> Vec3;
 
-    /// What is known of a leaf while its particles are visited.
-    type Found;
+    /// The state of a leaf while its particles are added.
+    type State;
 
-    /// What is known before the first particle.
-    fn start<V: Lanes>(unions: &Unions, settled: &LeafMask, around: &[NearbyLeaf<Self>]) -> Self::Found;
+    /// The state before the first particle.
+    fn start<V: Lanes>(unions: &Unions, settled: &LeafMask, around: &[NearbyLeaf<Self>]) -> Self::State;
 
-    /// Takes account of the particle at `center`, in voxels from the leaf's first voxel.
-    fn visit<V: Lanes>(&self, unions: &Unions, found: &mut Self::Found, center: Vec3, extents: Vec3);
+    /// Adds the particle at `center`, in voxels from the leaf's first voxel.
+    fn add<V: Lanes>(&self, unions: &Unions, found: &mut Self::State, center: Vec3, extents: Vec3);
 
     /// Writes the signed distances to S_max, S_0 and S_min. Below −1 they need not be exact.
-    fn finish<V: Lanes>(unions: &Unions, found: &Self::Found, distances: [&mut Leaf; 3]);
+    fn finish<V: Lanes>(unions: &Unions, found: &Self::State, distances: [&mut Leaf; 3]);
 }
 
 /// The three unions.
@@ -315,7 +315,7 @@ impl<F: ParticleShape> Kernel for Signed<'_, F> {
             for (eight, boxes) in leaf.boxes.iter().enumerate() {
                 for lane in SetBits(near_bits::<V>(boxes, leaf.step)) {
                     let Primitive { center, extents, shape } = &leaf.primitives[8 * eight + lane];
-                    shape.visit::<V>(unions, &mut found, center + leaf.step, *extents);
+                    shape.add::<V>(unions, &mut found, center + leaf.step, *extents);
                 }
             }
         }
@@ -380,7 +380,7 @@ impl ParticleShape for BallShape {
     }
 
     /// The least distance to each union.
-    type Found = [Leaf; 3];
+    type State = [Leaf; 3];
 
     #[inline(always)]
     fn start<V: Lanes>(_: &Unions, settled: &LeafMask, _: &[NearbyLeaf<BallShape>]) -> [Leaf; 3] {
@@ -393,7 +393,7 @@ impl ParticleShape for BallShape {
     }
 
     #[inline(always)]
-    fn visit<V: Lanes>(&self, unions: &Unions, found: &mut [Leaf; 3], center: Vec3, extents: Vec3) {
+    fn add<V: Lanes>(&self, unions: &Unions, found: &mut [Leaf; 3], center: Vec3, extents: Vec3) {
         let reach_squared = extents.x * extents.x;
         let dz = offsets::<V>(center.z);
         let dz_squared = dz.mul(dz);
@@ -441,10 +441,10 @@ impl ParticleShape for BallShape {
 /// Voxels farther outside a particle than [`ELLIPSOID_MARGIN`] have no neighbor inside it. Voxels deeper than
 /// [`DEEP`] need no nearer particle.
 pub(super) struct NearestEllipsoids {
-    /// Number of unions that are searched: 1 if all particles around have the radii of the settings, so that
-    /// one particle is the nearest for all unions; otherwise 3.
+    /// Number of unions that are searched, 1 or 3: one if all particles around have the radii of the settings,
+    /// so that one particle is the nearest for all unions.
     searched: usize,
-    /// q plus what the particle's radius lacks to that of the union.
+    /// q + r − the particle's own r.
     q: [Leaf; 3],
     /// q / |T²(x − p)| of the same particle: voxels per unit of q.
     ratio: [Leaf; 3],
@@ -475,8 +475,8 @@ impl NearestEllipsoids {
     }
 }
 
-/// Above 1 by more than the relative rounding error of q².
-const LIMIT_SLACK: f32 = 1.0 + 1e-5;
+/// Above 1 by more than the relative rounding errors of q² and of its minimum in a row, which is a difference.
+const LIMIT_SLACK: f32 = 1.0 + 1e-4;
 
 impl ParticleShape for EllipsoidShape {
     #[inline(always)]
@@ -496,7 +496,7 @@ impl ParticleShape for EllipsoidShape {
         outermost * self.ellipsoid.max * self.ellipsoid.extents() + ELLIPSOID_MARGIN
     }
 
-    type Found = NearestEllipsoids;
+    type State = NearestEllipsoids;
 
     #[inline(always)]
     fn start<V: Lanes>(
@@ -513,7 +513,7 @@ impl ParticleShape for EllipsoidShape {
             limits: Leaf::splat(0.0),
             row_limits: [[0.0; 8]; 8],
             farthest: max + ELLIPSOID_MARGIN / shortest,
-            deep: min - DEEP / unions.shortest,
+            deep: min - DEEP / shortest,
         };
         for row in 0..ROW_COUNT {
             let is_settled = V::mask(settled.row(row));
@@ -526,11 +526,11 @@ impl ParticleShape for EllipsoidShape {
     }
 
     #[inline(always)]
-    fn visit<V: Lanes>(&self, unions: &Unions, found: &mut NearestEllipsoids, center: Vec3, extents: Vec3) {
+    fn add<V: Lanes>(&self, unions: &Unions, found: &mut NearestEllipsoids, center: Vec3, extents: Vec3) {
         let EllipsoidShape { ellipsoid, row_form, ratio_min } = self;
         let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball;
         let [max, init, _] = unions.radii;
-        let lacking = [max - ellipsoid.max * max, init - ellipsoid.init * init, 0.0];
+        let excess = [max - ellipsoid.max * max, init - ellipsoid.init * init, 0.0];
         let dz = offsets::<V>(center.z);
         let counts_along_z = V::not(V::splat(extents.z).lt(dz.abs()));
         let (along_x, along_y, along_z) = (V::splat(xz).mul(dz), V::splat(yz).mul(dz), V::splat(zz).mul(dz));
@@ -557,10 +557,10 @@ impl ParticleShape for EllipsoidShape {
                 let w_squared = length_squared(wx, wy, wz).max(V::splat(f32::MIN_POSITIVE));
                 let ratio = q_squared.div(w_squared).sqrt().max(V::splat(*ratio_min));
                 let q = V::select(counts, q_squared.sqrt(), V::splat(OUT_OF_REACH));
-                for union in 0..found.searched.min(3) {
+                for union in 0..found.searched {
                     let (known, ratios) = (found.q[union].row_mut(row), found.ratio[union].row_mut(row));
                     let (own, nearest, of_nearest) =
-                        (q.add(V::splat(lacking[union])), V::load(known), V::load(ratios));
+                        (q.add(V::splat(excess[union])), V::load(known), V::load(ratios));
                     // Of two particles that are equally near, that with the smaller ratio counts, in any order.
                     let of_equal = V::select(nearest.lt(own), of_nearest, of_nearest.min(ratio));
                     V::select(own.lt(nearest), ratio, of_equal).store(ratios);
@@ -577,7 +577,9 @@ impl ParticleShape for EllipsoidShape {
             let searched = union.min(found.searched - 1);
             for row in 0..ROW_COUNT {
                 let [q, ratio] = [&found.q, &found.ratio].map(|fields| V::load(fields[searched].row(row)));
-                let value = q.sub(V::splat(radius)).mul(ratio).max(V::splat(-DEEP));
+                // A voxel next to an inside one is at most one voxel from the surface. At thin ellipsoids, the
+                // particle with the least q can be another one, farther away.
+                let value = q.sub(V::splat(radius)).mul(ratio).max(V::splat(-DEEP)).min(V::splat(1.0));
                 value.store(distances.row_mut(row));
             }
         }

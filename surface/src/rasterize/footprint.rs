@@ -152,7 +152,7 @@ pub fn footprint(
     leaf_count_max: usize,
 ) -> Result<Footprint, Unread> {
     let RasterParams { lattice, radii, .. } = scene;
-    let near = LeafReach::new(radii.init * radii.usual_longest() + radii.half_width());
+    let near = LeafReach::new(radii.init * radii.band_scale + radii.half_width());
     let cells = LeafCells::new(radii.init);
     let leaf_map: ConcurrentLeafMap<FootprintLeaf> = ConcurrentLeafMap::new();
     let dropped_count = AtomicUsize::new(0);

@@ -66,18 +66,20 @@ pub struct Radii {
     /// Lower bound of all semi-axes, in units of the radii, also at a particle's own `init`: 1 for uniform
     /// balls.
     pub min_scale: f32,
-    /// The semi-axis for whose bounds the band is wide enough, in units of the radii: 1 for uniform balls. If
-    /// particles have longer semi-axes, the band is too narrow for the surface to move quite as far as their
-    /// bounds would allow. 0 for a band that is only as wide as smoothing reads.
+    /// The semi-axis for which the width of the band is computed, in units of the radii: 1 for uniform balls.
+    /// If particles have longer semi-axes, the band is too narrow for the surface to move quite as far as
+    /// their bounds would allow.
     pub band_scale: f32,
+    /// How much less than its bounds allow the surface moves, in voxels: the band is narrower by that.
+    pub unused_gap: f32,
     /// Offset of the finished surface, in voxels: positive outward, negative inward. The band is wide enough
     /// for it.
     pub offset: f32,
 }
 
-/// Bounds are distances up to this far from their zero set, in voxels: so far that one is next to every voxel
-/// at which it can bind. Farther away they only say on which side of it φ stays, by at least this distance.
-/// The surface differs from that with bounds everywhere by a hundredth of a voxel.
+/// Bounds are distances up to this far from their zero set, in voxels: far enough to cover both voxels of every
+/// edge that the zero set crosses. Farther away they only keep φ on its side, by at least this distance. The
+/// surface differs from that with bounds everywhere by a hundredth of a voxel.
 const BOUND_REACH: f32 = 1.5;
 
 /// Exact distances are kept up to this far beyond r_max, in voxels; fast sweeping computes those beyond.
@@ -86,7 +88,7 @@ const EXACT_MARGIN: f32 = 2.0;
 impl Radii {
     /// The radii of uniform balls.
     pub const fn uniform(min: f32, init: f32, max: f32) -> Radii {
-        Radii { min, init, max, min_scale: 1.0, band_scale: 1.0, offset: 0.0 }
+        Radii { min, init, max, min_scale: 1.0, band_scale: 1.0, unused_gap: 0.0, offset: 0.0 }
     }
 
     /// Half width of the band during smoothing, in voxels. The offset uses up a part of this width: around
@@ -96,10 +98,10 @@ impl Radii {
     }
 
     /// Half width that smoothing needs at most (Eq. 7), in voxels: it reads values up to 5 voxels from the
-    /// surface, and the surface may move to either bound of the semi-axis `band_scale`. The band of the result
-    /// has this half width, too.
+    /// surface, and the surface may move to either bound, less the unused gap. The band of the result has this
+    /// half width, too.
     pub fn result_half_width(&self) -> f32 {
-        let gap = (self.max - self.init).max(self.init - self.min) * self.band_scale;
+        let gap = (self.max - self.init).max(self.init - self.min) * self.band_scale - self.unused_gap;
         // Tolerates rounding: radii that differ by whole voxels need no extra voxel.
         5.0 + (gap - 1e-4).max(0.0).ceil()
     }
@@ -115,14 +117,8 @@ impl Radii {
 
     /// Number of leaves around a window that are rasterized with it.
     pub fn window_halo_leaves(&self) -> i32 {
-        let window = CoordBox { min: IVec3::ZERO, max: IVec3::ZERO };
-        let regions = Regions::new(window, *self, self.usual_longest());
+        let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::ZERO }, *self, self.band_scale);
         (regions.own.min.x - regions.measured.min.x) / LEAF_EDGE
-    }
-
-    /// The longest semi-axis that plans assume, in units of the radii.
-    fn usual_longest(&self) -> f32 {
-        self.band_scale.max(1.0)
     }
 
     /// Distance from a particle's center up to which exact distances are kept, in voxels. `longest` is the
@@ -482,8 +478,7 @@ impl Kernel for ClampLeaf<'_> {
     #[inline(always)]
     fn run<V: Lanes>(self) {
         let (least, most) = (V::splat(-self.half_width), V::splat(self.half_width));
-        let reach = BOUND_REACH.min(self.half_width);
-        let (inward, outward) = (V::splat(-reach), V::splat(reach));
+        let (inward, outward) = (V::splat(-BOUND_REACH), V::splat(BOUND_REACH));
         let (inner_value, inner_from) = (V::splat(self.inner_value), V::splat(self.inner_from));
         for row in 0..ROW_COUNT {
             let (phi, lower, upper) =

@@ -50,6 +50,15 @@ fn flat_among_round(count: usize, thickness: f32) -> Shapes {
     Shapes::Ellipsoids(shapes)
 }
 
+/// Every third ellipsoid gets its own r_init and r_max.
+fn with_own_radii(shapes: Shapes) -> Shapes {
+    let Shapes::Ellipsoids(mut shapes) = shapes else { unreachable!("by construction") };
+    for (index, shape) in shapes.iter_mut().enumerate().step_by(3) {
+        (shape.init, shape.max) = (0.7 + 0.3 * random(index, 7), 0.7 + 0.3 * random(index, 8));
+    }
+    Shapes::Ellipsoids(shapes)
+}
+
 #[test]
 fn scaled_balls_of_scale_one_equal_uniform_balls() {
     for (name, positions) in scenes() {
@@ -115,6 +124,10 @@ fn culling_changes_no_bit() {
             (Radii { band_scale: 1.5, min_scale: 0.7, ..RADII[2] }, ellipsoids(count, 0.7, 1.4)),
             (Radii { band_scale: 2.0, ..RADII[0] }, ellipsoids(count, 1.0, 2.2)),
             (Radii { min_scale: 0.3, ..RADII[2] }, flat_among_round(count, 0.3)),
+            (
+                Radii { min_scale: 0.3, unused_gap: 3.0, ..RADII[2] },
+                with_own_radii(flat_among_round(count, 0.3)),
+            ),
         ] {
             let source = cloud(&positions, shapes);
             let (band, bounds) = reference(&source, radii);
@@ -236,10 +249,12 @@ impl Definition {
                 }
             }
         }
+        let is_exact_outside = matches!(source.shapes, Shapes::Scaled(_));
+        let most = if is_exact_outside { f32::INFINITY } else { 1.0 };
         for leaf in leaves.values_mut().flatten() {
-            leaf.values.iter_mut().for_each(|value| *value = value.max(-1.25));
+            leaf.values.iter_mut().for_each(|value| *value = value.max(-1.25).min(most));
         }
-        Definition { leaves, is_exact_outside: matches!(source.shapes, Shapes::Scaled(_)) }
+        Definition { leaves, is_exact_outside }
     }
 
     fn at(&self, voxel: IVec3, surface: usize) -> f32 {

@@ -236,9 +236,9 @@ fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
     SHAPE_BYTES * shaped_count as f64 + of_changes + given
 }
 
-/// Average memory per near particle, in bytes, for the original positions that may lie outside the surface.
-/// The average is small because few positions do.
-const MOVED_PARTICLE_BYTES: f64 = 6.0;
+/// Memory per near particle, in bytes, for the original positions that may lie outside the surface. Few may,
+/// unless there are obstacles: then all are kept.
+const MOVED_PARTICLE_BYTES: f64 = 36.0;
 
 /// Memory, in bytes, while neighborhoods are evaluated. The rest of the frame does not exist yet.
 fn neighbors_bytes(footprint: &Footprint, settings: &Settings) -> f64 {

@@ -412,15 +412,18 @@ pub(super) fn min_scale(settings: &Settings) -> f32 {
     stretch(settings).map_or(resolved, |stretch| (resolved * stretch.lone_shares[0]).min(stretch.floor))
 }
 
-/// The semi-axis for whose bounds the band is wide enough, in units of the settings' radii. It is the same
-/// for all frames of a sequence, whatever particles they contain. Stretched particles need no width for their
-/// bounds: where the surface may move, at the faces of sheets and the sides of filaments, they are thin.
+/// The semi-axis for which the width of the band is computed, in units of the settings' radii. It is the same
+/// for all frames of a sequence, whatever particles they contain. Stretched particles need no wider band:
+/// where the surface may move, at the faces of sheets and the sides of filaments, they are thin.
 pub(super) fn band_scale(settings: &Settings) -> f32 {
-    match (&settings.per_particle_radius, &settings.anisotropy) {
-        (Some(_), _) => SCALE_MARGIN,
-        (None, Anisotropy::None) => 1.0,
-        (None, Anisotropy::Neighbors { .. } | Anisotropy::Velocity { .. }) => 0.0,
-    }
+    if settings.per_particle_radius.is_some() { SCALE_MARGIN } else { 1.0 }
+}
+
+/// How much less than its bounds allow the surface of stretched particles moves, in voxels. On the grids of the
+/// presets, a band that is narrower by this leaves ∫H² as it is, within 1 %.
+pub(super) fn unused_gap(settings: &Settings) -> f32 {
+    let is_stretched = settings.anisotropy != Anisotropy::None && settings.per_particle_radius.is_none();
+    if is_stretched { 3.0 } else { 0.0 }
 }
 
 /// With the radii of the paper, the bounds of a particle with three times the smallest radius are three

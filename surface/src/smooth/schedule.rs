@@ -63,7 +63,8 @@ pub enum SmoothOp {
 const REDISTANCE_REACH: u32 = 2 * REDISTANCE_SWEEPS + 1;
 
 /// Jacobi sweeps per redistancing (paper, §3.4, which has 8). As many as reach the neighbors of all free
-/// voxels, along diagonals too; with one sweep fewer, ∫H² grows by 5 to 20 %.
+/// voxels, along diagonals too; the voxels beyond them that the operator reads hold ± half width there. With one
+/// sweep fewer, ∫H² grows by 5 to 20 %.
 const REDISTANCE_SWEEPS: u32 = 6;
 
 /// After implicit steps, distances beyond the neighbors of voxels this close to the surface are swept to
