@@ -86,27 +86,30 @@ impl<'a> DistanceSolver<'a> {
         }
     }
 
-    /// The distances in these leaves, some of which are `known`.
+    /// The distances in these leaves, some of which are `known`, and a field whose memory is not used any more.
     pub(super) fn extended(
         &self,
         known: (&Topology, SphereDistances),
         leaves: &Topology,
         culling: &Culling,
-    ) -> SphereDistances {
+    ) -> (SphereDistances, Field) {
         let (known_leaves, mut known) = known;
         let is_new = |origin: &&IVec3| known_leaves.find(**origin).is_none();
         let new_leaves = Topology::new(leaves.origins().iter().filter(is_new).copied().collect());
         let new = self.distances(&new_leaves, culling);
-        // One field after the other, so that only one of them exists twice.
+        // One field after the other, so that only one of them exists twice, each in the memory of the one before.
+        let mut spare = Field::default();
         for (known, new) in known.fields.iter_mut().zip(new.fields) {
             let leaf = |&origin: &IVec3| match (known_leaves.find(origin), new_leaves.find(origin)) {
                 (Some(leaf), _) => known.leaves[leaf],
                 (None, Some(leaf)) => new.leaves[leaf],
                 (None, None) => unreachable!("every leaf is known or new"),
             };
-            *known = Field { leaves: leaves.origins().par_iter().halved().map(leaf).collect() };
+            spare.leaves.clear();
+            spare.leaves.par_extend(leaves.origins().par_iter().halved().map(leaf));
+            std::mem::swap(known, &mut spare);
         }
-        known
+        (known, spare)
     }
 }
 

@@ -184,16 +184,19 @@ impl<F: ParticleShape> Primitives<F> {
         leaves: &Topology,
         settled: impl Fn(IVec3) -> &'a LeafMask + Sync,
     ) -> [Field; 3] {
-        let mut fields = [0.0; 3].map(|value| Field::splat(leaves.len(), value));
-        let [max, init, min] = &mut fields;
-        let leaf_fields = max.leaves.par_iter_mut().zip(&mut init.leaves).zip(&mut min.leaves);
-        let leaf_fields = leaf_fields.zip(leaves.origins()).with_max_len(LEAVES_PER_TASK);
-        leaf_fields.for_each(|(((max, init), min), &origin)| {
-            let around = self.around(origin);
+        let of_leaf = |&origin: &IVec3| {
+            let (around, mut distances) = (self.around(origin), [Leaf::splat(0.0); 3]);
             let (unions, settled) = (&self.unions, settled(origin));
-            simd::dispatch(Signed { distances: [max, init, min], around: &around, unions, settled });
-        });
-        fields
+            simd::dispatch(Signed { distances: distances.each_mut(), around: &around, unions, settled });
+            let [max, init, min] = distances;
+            (max, (init, min))
+        };
+        // With room for further leaves, which takes no memory until they are written.
+        let [max, init, min] = [(); 3].map(|()| Vec::with_capacity(leaves.len() + leaves.len() / 2));
+        let mut fields = (max, (init, min));
+        fields.par_extend(leaves.origins().par_iter().with_max_len(LEAVES_PER_TASK).map(of_leaf));
+        let (max, (init, min)) = fields;
+        [max, init, min].map(|leaves| Field { leaves })
     }
 
     /// The particles that can lower a value in a leaf.

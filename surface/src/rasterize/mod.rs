@@ -266,6 +266,8 @@ struct NearDistances {
     bins: ParticleBins,
     topology: Topology,
     distances: SphereDistances,
+    /// Memory for the sweeps: a field with arbitrary content.
+    scratch: Field,
 }
 
 fn measure(
@@ -279,8 +281,8 @@ fn measure(
     let solver = DistanceSolver::new(&bins, scene.radii);
     let near = solver.distances(&culling.near, &culling);
     let topology = Topology::new(leaves_near_surface(&culling, &near, scene, regions));
-    let distances = solver.extended((&culling.near, near), &topology, &culling);
-    Ok(NearDistances { bins, topology, distances })
+    let (distances, scratch) = solver.extended((&culling.near, near), &topology, &culling);
+    Ok(NearDistances { bins, topology, distances, scratch })
 }
 
 /// Origins of the leaves near the surface: those with a voxel within the band's margin, per axis, of a voxel
@@ -346,10 +348,9 @@ fn remove_obstacle(inside: &mut LeafMask, obstacle: &ObstacleLeaf) {
 
 /// φ_0 and the bounds, on the leaves with a value of φ_0 within the half width.
 fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) -> RasterFields {
-    let NearDistances { bins, topology, mut distances } = measured;
+    let NearDistances { bins, topology, mut distances, mut scratch } = measured;
     let radii = scene.radii;
     let half_width = radii.half_width();
-    let mut scratch = Field::default();
     let mut phi =
         signed_distance(&topology, &mut distances, SphereUnion::Init, radii, half_width, &mut scratch);
     let is_banded = |leaf: usize| {
@@ -425,14 +426,12 @@ fn keep(field: &mut Field, kept: &[usize]) {
     field.leaves.truncate(kept.len());
 }
 
-/// Whether a field with memory for `count` leaves is too large for `kept_count` leaves. A field that loses a
-/// few leaves keeps its memory, because the system takes longer to provide new memory.
+/// Whether a field with memory for `count` leaves is too large for `kept_count` leaves: by an eighth, or by 2 MiB.
+/// A field that loses few leaves keeps its memory, because the system takes longer to provide new memory.
 fn wastes_memory(count: usize, kept_count: usize) -> bool {
-    (count - kept_count) * size_of::<Leaf>() > WASTED_BYTES_MAX
+    let wasted_count = count - kept_count;
+    wasted_count > count / 8 || wasted_count * size_of::<Leaf>() > 2 << 20
 }
-
-/// Memory per field that may stay unused, in bytes.
-const WASTED_BYTES_MAX: usize = 256 << 10;
 
 /// The topology that contains only the leaves `kept` of `topology`.
 fn subset(topology: Topology, kept: &[usize]) -> Topology {
