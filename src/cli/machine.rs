@@ -129,9 +129,9 @@ pub fn give_memory_back() {}
 const CHOSEN_BY: [&str; 4] =
     ["MALLOC_MMAP_THRESHOLD_", "MALLOC_TRIM_THRESHOLD_", "MALLOC_ARENA_MAX", "GLIBC_TUNABLES"];
 
-/// Blocks of 512 KiB or more are returned immediately, including fields of small frames.
+/// Blocks of 1 MiB or more are returned immediately.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
-const MMAP_THRESHOLD: std::ffi::c_int = 512 << 10;
+const MMAP_THRESHOLD: std::ffi::c_int = 1 << 20;
 
 /// Free memory at the end of an arena is returned once it reaches 4 MiB.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]

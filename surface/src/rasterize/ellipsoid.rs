@@ -192,7 +192,7 @@ impl<F: ParticleShape> Primitives<F> {
             (max, (init, min))
         };
         // With room for further leaves, which takes no memory until they are written.
-        let [max, init, min] = [(); 3].map(|()| Vec::with_capacity(leaves.len() + leaves.len() / 2));
+        let [max, init, min] = [(); 3].map(|()| Vec::with_capacity(2 * leaves.len()));
         let mut fields = (max, (init, min));
         fields.par_extend(leaves.origins().par_iter().with_max_len(LEAVES_PER_TASK).map(of_leaf));
         let (max, (init, min)) = fields;

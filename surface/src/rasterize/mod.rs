@@ -364,7 +364,7 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     };
     let kept: Vec<usize> =
         (0..topology.len()).into_par_iter().halved().filter(|&leaf| is_banded(leaf)).collect();
-    if wastes_memory(topology.len(), kept.len()) {
+    if topology.len() - kept.len() > WASTED_LEAVES_MAX {
         scratch = Field::default();
     }
     rayon::join(|| keep(&mut phi, &kept), || distances.keep(&kept));
@@ -426,12 +426,14 @@ fn keep(field: &mut Field, kept: &[usize]) {
     field.leaves.truncate(kept.len());
 }
 
-/// Whether a field with memory for `count` leaves is too large for `kept_count` leaves: by an eighth, or by 2 MiB.
-/// A field that loses few leaves keeps its memory, because the system takes longer to provide new memory.
+/// Whether a field with memory for `count` leaves is too large for `kept_count` leaves. A field that loses few
+/// leaves keeps its memory, because the system takes longer to provide new memory.
 fn wastes_memory(count: usize, kept_count: usize) -> bool {
-    let wasted_count = count - kept_count;
-    wasted_count > count / 8 || wasted_count * size_of::<Leaf>() > 2 << 20
+    count - kept_count > (count / 8).min(WASTED_LEAVES_MAX)
 }
+
+/// Number of leaves per field whose memory may stay unused: 2 MiB.
+const WASTED_LEAVES_MAX: usize = (2 << 20) / size_of::<Leaf>();
 
 /// The topology that contains only the leaves `kept` of `topology`.
 fn subset(topology: Topology, kept: &[usize]) -> Topology {
