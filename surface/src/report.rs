@@ -41,8 +41,6 @@ pub struct ReconstructionReport {
     pub vertices_clamped: usize,
     /// Number of triangles removed because they have no area at the positions that are written.
     pub flat_triangles_removed: usize,
-    /// ∫H² over the surface, from φ; 4π for a sphere of any size.
-    pub bending_energy: f64,
     /// Measures of the mesh.
     pub mesh: MeshMeasures,
     /// How well the particles' attributes cover the surface; `None` unless attributes were requested.

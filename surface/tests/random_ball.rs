@@ -29,7 +29,7 @@ fn random_particles_in_a_ball_come_out_as_one_ball() {
         assert!(variance.sqrt() <= 0.2, "{what}: {}", variance.sqrt());
     }
     let report = &surface.report;
-    println!("∫H² is {:.3} of a sphere's", report.bending_energy / (4.0 * PI));
+    println!("∫H² is {:.3} of a sphere's", report.mesh.bending_energy / (4.0 * PI));
     assert!(report.certificate.holds(), "{:?}", report.certificate);
     assert_eq!((report.mesh.component_count, report.mesh.euler_characteristic), (1, 2));
 }

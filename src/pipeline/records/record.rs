@@ -289,7 +289,6 @@ fn measured(report: &FrameReport) -> Object {
         ("seconds", json!(report.seconds)),
         ("peak_memory_bytes", json!(report.peak_memory_bytes)),
         ("certificate", certificate(reconstruction)),
-        ("bending_energy", json!(reconstruction.bending_energy)),
     ]);
     if let Value::Object(mesh) = json!(mesh) {
         measured.0.extend(mesh);

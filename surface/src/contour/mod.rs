@@ -16,7 +16,6 @@
 //! Inside is φ < 0; zero is outside. A band must store the voxels next to a sign change together with all
 //! their neighbors. Cells with a corner that is not stored are treated as empty.
 
-mod bending;
 mod cell_vertex;
 mod dual_contouring;
 mod marching_tetrahedra;
@@ -30,8 +29,6 @@ use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 use crate::space::{CoordBox, Lattice};
 use crate::words::word_enum;
-
-pub use bending::bending_energy;
 
 word_enum! {
     /// How the level set becomes triangles.

@@ -299,12 +299,6 @@ impl PhiBlock {
         self.values()[index]
     }
 
-    /// φ at `COUNT` consecutive indices along z.
-    #[inline(always)]
-    pub(super) fn phi_along<const COUNT: usize>(&self, index: usize) -> [f32; COUNT] {
-        std::array::from_fn(|z| self.values()[index + z])
-    }
-
     /// ∇φ by central differences at an index whose neighbors on all sides are in the block.
     #[inline(always)]
     pub(super) fn gradient(&self, index: usize) -> Vec3 {

@@ -56,14 +56,14 @@ impl NarrowBand {
 
 // The interval that constrains φ.
 
-/// Signed distances to the outer and the inner union of spheres, on the topology of the band that they
-/// constrain. φ is negative inside, so the outer union gives the lower bound:
-/// `lower` = φ_max ≤ φ ≤ φ_min = `upper`.
+/// Bounds from the outer and the inner union of spheres, on the topology of the band that they constrain. φ is
+/// negative inside, so the outer union gives the lower bound: `lower` = φ_max ≤ φ ≤ φ_min = `upper`. They are
+/// signed distances near the surface of their union, and open farther away.
 #[derive(Clone, Debug)]
 pub struct Bounds {
-    /// φ_max of the paper: signed distance to the outer union of spheres, in voxels.
+    /// φ_max of the paper, from the outer union of spheres, in voxels.
     pub lower: Field,
-    /// φ_min of the paper: signed distance to the inner union of spheres, in voxels.
+    /// φ_min of the paper, from the inner union of spheres, in voxels.
     pub upper: Field,
 }
 

@@ -344,13 +344,13 @@ fn is_one_fan(corners: &[[u32; 2]]) -> bool {
 // Triangles in batches, one per SIMD lane.
 
 /// Number of triangles that are measured at once.
-pub(crate) const LANES: usize = 16;
+pub(super) const LANES: usize = 16;
 
 /// One value per triangle.
-pub(crate) type TriangleScalar = [f64; LANES];
+pub(super) type TriangleScalar = [f64; LANES];
 
 /// The corners of some triangles, by corner and by axis. Unused lanes are zero.
-pub(crate) struct TriangleBatch {
+pub(super) struct TriangleBatch {
     corners: [[[f32; LANES]; 3]; 3],
 }
 
@@ -360,7 +360,7 @@ const HEIGHT_MIN: f64 = 1e-9;
 impl TriangleBatch {
     /// The corners of up to [`LANES`] triangles.
     #[inline(always)]
-    pub(crate) fn new(positions: &[Vec3], triangles: &[[u32; 3]]) -> TriangleBatch {
+    pub(super) fn new(positions: &[Vec3], triangles: &[[u32; 3]]) -> TriangleBatch {
         let mut corners = [[[0.0; LANES]; 3]; 3];
         for (lane, triangle) in triangles.iter().enumerate().take(LANES) {
             for corner in 0..3 {
@@ -381,7 +381,7 @@ impl TriangleBatch {
 
     /// The areas of the triangles.
     #[inline(always)]
-    pub(crate) fn areas(&self) -> TriangleScalar {
+    pub(super) fn areas(&self) -> TriangleScalar {
         let mut areas = [0.0; LANES];
         for (lane, area) in areas.iter_mut().enumerate() {
             let [a, b, c] = [self.corner(0, lane), self.corner(1, lane), self.corner(2, lane)];

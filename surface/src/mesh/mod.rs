@@ -24,7 +24,6 @@ mod flat;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-pub(crate) use corners::{LANES, TriangleBatch};
 pub use decimate::{DecimateReport, decimate};
 
 use crate::cancel::checkpoint;
@@ -52,7 +51,6 @@ pub struct Mesh {
 #[non_exhaustive]
 pub struct MeshMeasures {
     /// ∫H² computed from the mesh's angles. Dimensionless: 4π for a sphere.
-    #[serde(rename = "mesh_bending_energy")]
     pub bending_energy: f64,
     /// Area, in squared world units.
     pub area: f64,

@@ -57,8 +57,8 @@ use crate::space::Lattice;
 pub struct ContactStats {
     /// Voxels between surface and obstacle that were filled.
     pub void_count: u64,
-    /// Voxels in an obstacle that are in the r_min sphere of a particle, or nearer to such a sphere than to
-    /// the obstacle's surface.
+    /// Voxels in an obstacle that are in the r_min sphere of a particle, or near such a sphere and nearer to it
+    /// than to the obstacle's surface.
     pub displaced_voxel_count: u64,
     /// Particles inside an obstacle.
     pub particle_count: usize,

@@ -3,8 +3,7 @@
 //! ```text
 //!   uniform balls   one field: the distance to the nearest center; subtracting a radius gives the distance
 //!                   to each of the three unions
-//!   others          three fields: the signed distance to each union, because the nearest particle may differ
-//!                   from union to union
+//!   others          three fields: the signed distance to each union
 //! ```
 
 use glam::{IVec3, Vec3};
@@ -35,18 +34,13 @@ pub(super) enum SphereUnion {
 }
 
 /// Distances in voxels, by leaf.
-pub(super) enum SphereDistances {
-    /// To the nearest center; [`OUT_OF_REACH`](OUT_OF_REACH) beyond the reach.
-    Nearest(Field),
-    /// To S_max, S_0 and S_min, negative inside. Deep inside, any negative number; beyond the reach,
-    /// infinite.
-    Signed {
-        /// In the order of [`SphereUnion`].
-        fields: [Field; 3],
-        /// True if all values outside the unions are exact, rather than only those adjacent to an inside
-        /// voxel.
-        is_exact_outside: bool,
-    },
+pub(super) struct SphereDistances {
+    /// One field of distances to the nearest center, [`OUT_OF_REACH`] beyond the reach; or three of signed
+    /// distances, in the order of [`SphereUnion`]. These are negative inside; deep inside, any negative number,
+    /// and beyond the reach infinite.
+    fields: Vec<Field>,
+    /// Whether all values outside the unions are exact, rather than only those adjacent to an inside voxel.
+    is_exact_outside: bool,
 }
 
 /// Computes distances to particles.
@@ -73,85 +67,82 @@ impl<'a> DistanceSolver<'a> {
         }
     }
 
-    /// The distances in these leaves. Leaves in `known` are copied.
-    pub(super) fn distances(
-        &self,
-        leaves: &Topology,
-        culling: &Culling,
-        known: Option<(&Topology, &SphereDistances)>,
-    ) -> SphereDistances {
+    /// The distances in these leaves.
+    pub(super) fn distances(&self, leaves: &Topology, culling: &Culling) -> SphereDistances {
         let settled = |origin| culling.settled(origin);
         match self {
-            DistanceSolver::Centers(packets, reach) => {
-                let known = |origin| {
-                    let (topology, distances) = known?;
-                    topology.find(origin).map(|leaf| &distances.field(SphereUnion::Max).leaves[leaf])
-                };
-                SphereDistances::Nearest(nearest_distances(packets, leaves, *reach, settled, known))
-            }
-            DistanceSolver::Balls(primitives) => {
-                let fields = primitives.distances(leaves, settled, |origin| known_leaves(known, origin));
-                SphereDistances::Signed { fields, is_exact_outside: true }
-            }
-            DistanceSolver::Ellipsoids(primitives) => {
-                let fields = primitives.distances(leaves, settled, |origin| known_leaves(known, origin));
-                SphereDistances::Signed { fields, is_exact_outside: false }
-            }
+            DistanceSolver::Centers(packets, reach) => SphereDistances {
+                fields: vec![nearest_distances(packets, leaves, *reach, settled)],
+                is_exact_outside: true,
+            },
+            DistanceSolver::Balls(primitives) => SphereDistances {
+                fields: primitives.distances(leaves, settled).into(),
+                is_exact_outside: true,
+            },
+            DistanceSolver::Ellipsoids(primitives) => SphereDistances {
+                fields: primitives.distances(leaves, settled).into(),
+                is_exact_outside: false,
+            },
         }
     }
-}
 
-/// The three known leaves at an origin, if any.
-fn known_leaves<'k>(
-    known: Option<(&Topology, &'k SphereDistances)>,
-    origin: glam::IVec3,
-) -> Option<[&'k Leaf; 3]> {
-    let (topology, distances) = known?;
-    let leaf = topology.find(origin)?;
-    let SphereDistances::Signed { fields, .. } = distances else { return None };
-    Some(fields.each_ref().map(|field| &field.leaves[leaf]))
+    /// The distances in these leaves, some of which are `known`, and a field whose memory is not used any more.
+    pub(super) fn extended(
+        &self,
+        known: (&Topology, SphereDistances),
+        leaves: &Topology,
+        culling: &Culling,
+    ) -> (SphereDistances, Field) {
+        let (known_leaves, mut known) = known;
+        let is_new = |origin: &&IVec3| known_leaves.find(**origin).is_none();
+        let new_leaves = Topology::new(leaves.origins().iter().filter(is_new).copied().collect());
+        let new = self.distances(&new_leaves, culling);
+        // One field after the other, so that only one of them exists twice, each in the memory of the one before.
+        let mut spare = Field::default();
+        for (known, new) in known.fields.iter_mut().zip(new.fields) {
+            let leaf = |&origin: &IVec3| match (known_leaves.find(origin), new_leaves.find(origin)) {
+                (Some(leaf), _) => known.leaves[leaf],
+                (None, Some(leaf)) => new.leaves[leaf],
+                (None, None) => unreachable!("every leaf is known or new"),
+            };
+            spare.leaves.clear();
+            spare.leaves.par_extend(leaves.origins().par_iter().halved().map(leaf));
+            std::mem::swap(known, &mut spare);
+        }
+        (known, spare)
+    }
 }
 
 impl SphereDistances {
     /// The field that holds the distances to a union.
     pub(super) fn field(&self, sphere: SphereUnion) -> &Field {
-        match self {
-            SphereDistances::Nearest(nearest) => nearest,
-            SphereDistances::Signed { fields, .. } => &fields[sphere as usize],
-        }
+        &self.fields[self.index(sphere)]
+    }
+
+    /// The place of a union's field.
+    fn index(&self, sphere: SphereUnion) -> usize {
+        if self.fields.len() == 1 { 0 } else { sphere as usize }
     }
 
     /// Takes the same field by value, for its last use.
-    pub(super) fn take(&mut self, sphere: SphereUnion) -> Field {
-        match self {
-            SphereDistances::Nearest(nearest) => std::mem::replace(nearest, Field { leaves: Vec::new() }),
-            SphereDistances::Signed { fields, .. } => {
-                std::mem::replace(&mut fields[sphere as usize], Field { leaves: Vec::new() })
-            }
-        }
+    fn take(&mut self, sphere: SphereUnion) -> Field {
+        let index = self.index(sphere);
+        std::mem::take(&mut self.fields[index])
     }
 
     /// True if this is the last use of the union's field. The unions are used in the order S_0, S_max, S_min.
     fn is_last(&self, sphere: SphereUnion) -> bool {
-        match self {
-            SphereDistances::Nearest(_) => sphere == SphereUnion::Min,
-            SphereDistances::Signed { .. } => true,
-        }
+        self.fields.len() > 1 || sphere == SphereUnion::Min
     }
 
     /// The value to subtract from the field so that it is negative inside the union.
-    pub(super) fn level(&self, sphere: SphereUnion, radii: Radii) -> f32 {
-        match (self, sphere) {
-            (SphereDistances::Signed { .. }, _) => 0.0,
-            (_, SphereUnion::Max) => radii.max,
-            (_, SphereUnion::Init) => radii.init,
-            (_, SphereUnion::Min) => radii.min,
+    fn level(&self, sphere: SphereUnion, radii: Radii) -> f32 {
+        match sphere {
+            _ if self.fields.len() > 1 => 0.0,
+            SphereUnion::Max => radii.max,
+            SphereUnion::Init => radii.init,
+            SphereUnion::Min => radii.min,
         }
-    }
-
-    /// True if all values outside the unions are exact, rather than only those adjacent to an inside voxel.
-    pub(super) fn is_exact_outside(&self) -> bool {
-        !matches!(self, SphereDistances::Signed { is_exact_outside: false, .. })
     }
 
     /// The voxels inside a union.
@@ -163,14 +154,9 @@ impl SphereDistances {
 
     /// Keeps only these leaves, in order.
     pub(super) fn keep(&mut self, kept: &[usize]) {
-        match self {
-            SphereDistances::Nearest(nearest) => keep(nearest, kept),
-            SphereDistances::Signed { fields, .. } => {
-                // Fields that were taken are empty.
-                let fields = fields.par_iter_mut().halved().filter(|field| !field.leaves.is_empty());
-                fields.for_each(|field| keep(field, kept));
-            }
-        }
+        // Fields that were taken are empty.
+        let fields = self.fields.par_iter_mut().halved().filter(|field| !field.leaves.is_empty());
+        fields.for_each(|field| keep(field, kept));
     }
 }
 
@@ -190,19 +176,15 @@ impl SphereDistances {
 pub(super) const OUT_OF_REACH: f32 = f32::INFINITY;
 
 /// Distances in voxels to the nearest particle, in these leaves: [`OUT_OF_REACH`] for voxels farther than
-/// `reach`, and 0 for `settled` voxels. Leaves in `known` are copied.
+/// `reach`, and 0 for `settled` voxels.
 fn nearest_distances<'a>(
     packets: &ParticlePackets,
     leaves: &Topology,
     reach: f32,
     settled: impl Fn(IVec3) -> &'a LeafMask + Sync,
-    known: impl Fn(IVec3) -> Option<&'a Leaf> + Sync,
 ) -> Field {
     let steps = leaf_steps_within(reach);
     let nearest = |&origin: &IVec3| {
-        if let Some(leaf) = known(origin) {
-            return *leaf;
-        }
         let in_leaf = |&step: &IVec3| Some((step.as_vec3(), packets.in_leaf(origin + step)?));
         let around: Vec<(Vec3, &[Centers8])> = steps.iter().filter_map(in_leaf).collect();
         simd::dispatch(NearestDistances {
@@ -401,14 +383,15 @@ fn squares_beyond<V: Lanes>(along: V) -> V {
 //       ╰──╮                  and beyond the reach of distances
 //   swept  ╰──────
 
-/// The signed distance to one of the unions, swept up to the half width; values beyond it are only
-/// approximate. The last union that needs a field of distances reuses its memory, so request the unions in
+/// The signed distance to one of the unions, swept up to `reach` voxels; values beyond it are only
+/// approximate, or infinite. The last union that needs a field of distances reuses its memory, so request the unions in
 /// the order S_0, S_max, S_min. `scratch` is memory for the sweeps: a field with arbitrary content.
 pub(super) fn signed_distance(
     topology: &Topology,
     distances: &mut SphereDistances,
     sphere: SphereUnion,
     radii: Radii,
+    reach: f32,
     scratch: &mut Field,
 ) -> Field {
     let level = distances.level(sphere, radii);
@@ -424,8 +407,7 @@ pub(super) fn signed_distance(
         let leaves = distances.field(sphere).leaves.par_iter().zip(&known).halved().map(of_leaf).collect();
         Field { leaves }
     };
-    let half_width = radii.half_width();
-    let sweeps = Sweeps::accurate(sweep_count(half_width)).clamped(half_width);
+    let sweeps = Sweeps::accurate(sweep_count(reach)).clamped(reach);
     extend_in(topology, &mut field, &known, sweeps, scratch);
     field
 }
@@ -451,7 +433,7 @@ fn known_voxels(
             neighbor => inside[neighbor as usize],
         });
         let outside = |leaf: usize| inside[leaf].complement();
-        let known_outside = if distances.is_exact_outside() {
+        let known_outside = if distances.is_exact_outside {
             let mut within_reach = simd::dispatch(Below { leaf: &values.leaves[leaf], limit: OUT_OF_REACH });
             within_reach.remove_all(&inside[leaf]);
             within_reach

@@ -9,9 +9,10 @@
 //!   ellipsoid   (q − r)·q / |T²(x − p)|,  q = |T(x − p)|   exact on the surface, first order near it
 //! ```
 //!
-//! The value of the union is the minimum over all particles. Callers need the sign everywhere and the values
-//! next to the surface. So a particle is evaluated up to one voxel outside its outermost surface, and values
-//! below −[`DEEP`] are not lowered further:
+//! The value of the union of balls is the minimum over all particles, and that of ellipsoids the value of the
+//! particle with the least q − r. So where all ellipsoids have the same radii, one search for the least q gives
+//! all three unions. Callers need the sign everywhere and the values next to the surface. So a particle is
+//! evaluated up to one voxel outside its outermost surface, and values below −[`DEEP`] are not lowered further:
 //!
 //! ```text
 //!   ┌──────────┐        The bounding box of the ellipsoid plus a margin; T⁻¹ gives it exactly.
@@ -59,17 +60,33 @@ pub(super) trait ParticleShape: Copy + Sync + Send {
     /// A lower bound of the shortest semi-axis, in units of the radii.
     fn shortest(&self) -> f32;
 
-    /// For S_max, S_0 and S_min: the distance up to which the union's values take every particle into
-    /// account.
-    fn complete_to(radii: &Radii) -> [f32; 3];
+    /// Whether its r_init or r_max is not that of the settings.
+    fn has_own_radii(&self) -> bool;
 
     /// Half extents along each axis within which the particle can lower a value, in voxels, if its outermost
     /// radius is `outermost`.
     fn extents(&self, outermost: f32) -> Vec3;
 
-    /// Lowers the values of a leaf to those of the particle at `center`, in voxels from the leaf's first
-    /// voxel.
-    fn lower<V: Lanes>(&self, values: &mut EllipsoidDistances, center: Vec3, extents: Vec3);
+    /// The state of a leaf while its particles are added.
+    type State;
+
+    /// The state before the first particle.
+    fn start<V: Lanes>(unions: &Unions, settled: &LeafMask, around: &[NearbyLeaf<Self>]) -> Self::State;
+
+    /// Adds the particle at `center`, in voxels from the leaf's first voxel.
+    fn add<V: Lanes>(&self, unions: &Unions, found: &mut Self::State, center: Vec3, extents: Vec3);
+
+    /// Writes the signed distances to S_max, S_0 and S_min. Below −1 they need not be exact.
+    fn finish<V: Lanes>(unions: &Unions, found: &Self::State, distances: [&mut Leaf; 3]);
+}
+
+/// The three unions.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Unions {
+    /// r_max, r_init, r_min.
+    radii: [f32; 3],
+    /// A lower bound of all semi-axes, in units of the radii.
+    shortest: f32,
 }
 
 /// A ball: its radius relative to the settings' radii.
@@ -97,10 +114,7 @@ impl EllipsoidShape {
 /// Particles of any shape, with a lookup by leaf.
 pub(super) struct Primitives<F> {
     classes: Vec<SizeClass<F>>,
-    /// r_max, r_init, r_min.
-    radii: [f32; 3],
-    /// For each union, the distance up to which its values take every particle into account.
-    complete_to: [f32; 3],
+    unions: Unions,
 }
 
 /// Particles of similar size.
@@ -123,7 +137,10 @@ struct ClassLeaf {
     primitives: Range<usize>,
     /// The packets that contain their boxes; the last one may have unused lanes.
     packets: Range<usize>,
-    axes: HalfAxisRange,
+    /// A lower bound of their semi-axes, in units of the radii.
+    shortest: f32,
+    /// Whether one of them has its own r_init or r_max.
+    has_own_radii: bool,
 }
 
 /// Centers and extents of eight particles: x, y, z of each. The centers of unused lanes are infinite, so that
@@ -138,18 +155,10 @@ struct Primitive<F> {
     shape: F,
 }
 
-/// Bounds of the semi-axes of some particles, in units of the radii.
-#[derive(Clone, Copy)]
-struct HalfAxisRange {
-    shortest: f32,
-    longest: f32,
-}
-
 impl<F: ParticleShape> Primitives<F> {
     /// Sorts the particles of the bins into size classes.
     pub(super) fn new(bins: &ParticleBins, radii: Radii, shape: impl Fn(usize) -> F + Sync) -> Primitives<F> {
-        let complete_to = F::complete_to(&radii);
-        let radii = [radii.max, radii.init, radii.min];
+        let unions = Unions { radii: [radii.max, radii.init, radii.min], shortest: radii.min_scale };
         let class_of = |particle: usize| {
             let doublings = (shape(particle).longest() / CLASS_LONGEST).log2().ceil();
             // The value is in 0..256, so the cast is lossless.
@@ -163,39 +172,31 @@ impl<F: ParticleShape> Primitives<F> {
             checkpoint();
             let members =
                 (0..bins.len()).into_par_iter().halved().filter(|&particle| class_of[particle] == number);
-            SizeClass::new(bins, radii[0], &members.collect::<Vec<_>>(), &shape)
+            SizeClass::new(bins, radii.max, &members.collect::<Vec<_>>(), &shape)
         };
-        Primitives { classes: numbers.iter().map(class).collect(), radii, complete_to }
+        Primitives { classes: numbers.iter().map(class).collect(), unions }
     }
 
     /// The signed distances to the three unions in these leaves, in the order of the radii. Deep inside, and
-    /// at `settled` voxels, the value is some number below −1. Leaves in `known` are copied.
+    /// at `settled` voxels, the value is some number below −1.
     pub(super) fn distances<'a>(
         &self,
         leaves: &Topology,
         settled: impl Fn(IVec3) -> &'a LeafMask + Sync,
-        known: impl Fn(IVec3) -> Option<[&'a Leaf; 3]> + Sync,
     ) -> [Field; 3] {
-        let mut fields = [0.0; 3].map(|value| Field::splat(leaves.len(), value));
-        let [max, init, min] = &mut fields;
-        let leaf_fields = max.leaves.par_iter_mut().zip(&mut init.leaves).zip(&mut min.leaves);
-        let leaf_fields = leaf_fields.zip(leaves.origins()).with_max_len(LEAVES_PER_TASK);
-        leaf_fields.for_each(|(((max, init), min), &origin)| {
-            if let Some(known) = known(origin) {
-                (*max, *init, *min) = (*known[0], *known[1], *known[2]);
-                return;
-            }
-            let around = self.around(origin);
-            let settled = settled(origin);
-            simd::dispatch(Signed {
-                values: [max, init, min],
-                around: &around,
-                radii: self.radii,
-                complete_to: self.complete_to,
-                settled,
-            });
-        });
-        fields
+        let of_leaf = |&origin: &IVec3| {
+            let (around, mut distances) = (self.around(origin), [Leaf::splat(0.0); 3]);
+            let (unions, settled) = (&self.unions, settled(origin));
+            simd::dispatch(Signed { distances: distances.each_mut(), around: &around, unions, settled });
+            let [max, init, min] = distances;
+            (max, (init, min))
+        };
+        // With room for further leaves, which takes no memory until they are written.
+        let [max, init, min] = [(); 3].map(|()| Vec::with_capacity(2 * leaves.len()));
+        let mut fields = (max, (init, min));
+        fields.par_extend(leaves.origins().par_iter().with_max_len(LEAVES_PER_TASK).map(of_leaf));
+        let (max, (init, min)) = fields;
+        [max, init, min].map(|leaves| Field { leaves })
     }
 
     /// The particles that can lower a value in a leaf.
@@ -250,8 +251,10 @@ impl<F: ParticleShape> SizeClass<F> {
         let boxes = packets.into_par_iter().halved().map(|packet| boxes_of(&primitives[packet])).collect();
         let class_leaf = |(own, packets): (Range<usize>, Range<usize>)| {
             checkpoint();
-            let axes = HalfAxisRange::of(primitives[own.clone()].iter().map(|primitive| primitive.shape));
-            ClassLeaf { primitives: own, packets, axes }
+            let shapes = || primitives[own.clone()].iter().map(|primitive| primitive.shape);
+            let shortest = shapes().map(|shape| shape.shortest()).fold(f32::INFINITY, f32::min);
+            let has_own_radii = shapes().any(|shape| shape.has_own_radii());
+            ClassLeaf { primitives: own, packets, shortest, has_own_radii }
         };
         let leaves = ranges.into_par_iter().halved().map(class_leaf).collect();
         let reach = primitives.par_iter().halved().map(|primitive| primitive.extents.max_element());
@@ -261,30 +264,13 @@ impl<F: ParticleShape> SizeClass<F> {
     }
 
     fn leaf(&self, leaf: usize, step: IVec3) -> NearbyLeaf<'_, F> {
-        let ClassLeaf { primitives, packets, axes } = &self.leaves[leaf];
+        let ClassLeaf { primitives, packets, shortest, has_own_radii } = &self.leaves[leaf];
         NearbyLeaf {
             step: step.as_vec3(),
             boxes: &self.boxes[packets.clone()],
             primitives: &self.primitives[primitives.clone()],
-            axes: *axes,
-        }
-    }
-}
-
-impl HalfAxisRange {
-    /// The range of an empty set.
-    const NONE: HalfAxisRange = HalfAxisRange { shortest: f32::INFINITY, longest: 0.0 };
-
-    fn of<F: ParticleShape>(shapes: impl Iterator<Item = F>) -> HalfAxisRange {
-        let axes = shapes.map(|shape| HalfAxisRange { shortest: shape.shortest(), longest: shape.longest() });
-        axes.fold(HalfAxisRange::NONE, HalfAxisRange::with)
-    }
-
-    #[inline(always)]
-    fn with(self, other: HalfAxisRange) -> HalfAxisRange {
-        HalfAxisRange {
-            shortest: self.shortest.min(other.shortest),
-            longest: self.longest.max(other.longest),
+            shortest: *shortest,
+            has_own_radii: *has_own_radii,
         }
     }
 }
@@ -302,22 +288,22 @@ fn boxes_of<F>(primitives: &[Primitive<F>]) -> BoxPacket {
 }
 
 /// The particles of one leaf that can lower a value in another.
-struct NearbyLeaf<'a, F> {
+pub(super) struct NearbyLeaf<'a, F> {
     /// From the other leaf to this one, in voxels.
     step: Vec3,
     boxes: &'a [BoxPacket],
     /// Primitive `8·i + k` has the box in lane `k` of packet `i`.
     primitives: &'a [Primitive<F>],
-    axes: HalfAxisRange,
+    shortest: f32,
+    has_own_radii: bool,
 }
 
 /// Kernel: computes the signed distances of a leaf to the three unions.
 struct Signed<'a, F> {
     /// Receives the distances.
-    values: [&'a mut Leaf; 3],
+    distances: [&'a mut Leaf; 3],
     around: &'a [NearbyLeaf<'a, F>],
-    radii: [f32; 3],
-    complete_to: [f32; 3],
+    unions: &'a Unions,
     settled: &'a LeafMask,
 }
 
@@ -326,90 +312,19 @@ impl<F: ParticleShape> Kernel for Signed<'_, F> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) {
-        let mut axes = HalfAxisRange::NONE;
-        for around in self.around {
-            axes = axes.with(around.axes);
-        }
-        let mut values = EllipsoidDistances::new::<V>(self.values, self.settled, self.radii, axes);
-        for around in self.around {
-            for (eight, boxes) in around.boxes.iter().enumerate() {
-                for lane in SetBits(near_bits::<V>(boxes, around.step)) {
-                    let primitive = &around.primitives[8 * eight + lane];
-                    primitive.shape.lower::<V>(
-                        &mut values,
-                        primitive.center + around.step,
-                        primitive.extents,
-                    );
+        let Signed { distances, around, unions, settled } = self;
+        let mut found = F::start::<V>(unions, settled, around);
+        for leaf in around {
+            for (eight, boxes) in leaf.boxes.iter().enumerate() {
+                for lane in SetBits(near_bits::<V>(boxes, leaf.step)) {
+                    let Primitive { center, extents, shape } = &leaf.primitives[8 * eight + lane];
+                    shape.add::<V>(unions, &mut found, center + leaf.step, *extents);
                 }
             }
         }
-        for (leaf, complete_to) in values.leaves.into_iter().zip(self.complete_to) {
-            for row in 0..ROW_COUNT {
-                let row = leaf.row_mut(row);
-                let value = V::load(row).max(V::splat(-DEEP));
-                V::select(V::splat(complete_to).lt(value), V::splat(OUT_OF_REACH), value).store(row);
-            }
-        }
+        F::finish::<V>(unions, &found, distances);
     }
 }
-
-/// The values of a leaf for the particles visited so far, with limits to skip particles that cannot lower
-/// them.
-///
-/// A particle lowers a value v of the union of radius r only if q < r + v/c for positive v, or q < r + v/a
-/// for negative v. Here c and a bound its semi-axes from below and above, and so q/|T²(x − p)| too. Values
-/// below −[`DEEP`] are deep enough, and voxels farther outside than [`ELLIPSOID_MARGIN`] have no inside
-/// neighbor.
-pub(super) struct EllipsoidDistances<'a> {
-    leaves: [&'a mut Leaf; 3],
-    radii: [f32; 3],
-    axes: HalfAxisRange,
-    /// For each voxel, the square of q from which on a particle cannot lower a value.
-    limits: Leaf,
-    /// The maximum of each row's limits: row `x·8 + y` at `[x][y]`.
-    row_limits: [[f32; 8]; 8],
-}
-
-impl<'a> EllipsoidDistances<'a> {
-    #[inline(always)]
-    fn new<V: Lanes>(
-        leaves: [&'a mut Leaf; 3],
-        settled: &LeafMask,
-        radii: [f32; 3],
-        axes: HalfAxisRange,
-    ) -> EllipsoidDistances<'a> {
-        let limits = Leaf::splat(0.0);
-        let mut values = EllipsoidDistances { leaves, radii, axes, limits, row_limits: [[0.0; 8]; 8] };
-        for row in 0..ROW_COUNT {
-            let settled = V::mask(settled.row(row));
-            for leaf in &mut values.leaves {
-                V::select(settled, V::splat(-DEEP), V::splat(OUT_OF_REACH)).store(leaf.row_mut(row));
-            }
-            values.limit_row::<V>(row);
-        }
-        values
-    }
-
-    /// Updates the limits of a row.
-    #[inline(always)]
-    fn limit_row<V: Lanes>(&mut self, row: usize) {
-        let (outside, inside) = (V::splat(1.0 / self.axes.shortest), V::splat(1.0 / self.axes.longest));
-        let (zero, deep) = (V::splat(0.0), V::splat(-DEEP));
-        let mut limit = zero;
-        for (leaf, radius) in self.leaves.iter().zip(self.radii) {
-            let value = V::load(leaf.row(row));
-            let beyond = value.max(zero).min(V::splat(ELLIPSOID_MARGIN)).mul(outside);
-            let of_union = V::splat(radius + LIMIT_SLACK).add(beyond).add(value.min(zero).mul(inside));
-            limit = limit.max(V::select(deep.lt(value), of_union, zero));
-        }
-        let squared = limit.mul(limit);
-        squared.store(self.limits.row_mut(row));
-        self.row_limits[row >> 3 & 7][row & 7] = greatest(squared);
-    }
-}
-
-/// An upper bound of the rounding error of q.
-const LIMIT_SLACK: f32 = 1e-3;
 
 /// Bit mask of the eight boxes, moved by a step, that touch the box of a leaf's voxels.
 #[inline(always)]
@@ -448,19 +363,6 @@ fn offsets<V: Lanes>(center: f32) -> V {
     V::load(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]).sub(V::splat(center))
 }
 
-/// True if a whole row is deep inside S_min, and therefore inside the other unions.
-#[inline(always)]
-fn is_deep<V: Lanes>(leaves: &[&mut Leaf; 3], row: usize) -> bool {
-    V::bits(V::splat(-DEEP).lt(V::load(leaves[2].row(row)))) == 0
-}
-
-/// Takes the minimum of a row's values and `values`, in the lanes of the mask.
-#[inline(always)]
-fn lower_row<V: Lanes>(row: &mut [f32; 8], counts: V::Mask, values: V) {
-    let previous = V::load(row);
-    V::select(counts, values.min(previous), previous).store(row);
-}
-
 impl ParticleShape for BallShape {
     #[inline(always)]
     fn longest(&self) -> f32 {
@@ -472,18 +374,29 @@ impl ParticleShape for BallShape {
         self.0
     }
 
-    /// Every ball contributes up to a fixed margin beyond its r_max. The larger the ball, the farther this
-    /// limit is from its two smaller surfaces, so the smallest ball gives the bound.
-    fn complete_to(radii: &Radii) -> [f32; 3] {
-        [radii.max, radii.init, radii.min].map(|radius| EXACT_MARGIN + radii.min_scale * (radii.max - radius))
+    fn has_own_radii(&self) -> bool {
+        false
     }
 
     fn extents(&self, outermost: f32) -> Vec3 {
         Vec3::splat(outermost * self.0 + EXACT_MARGIN)
     }
 
+    /// The least distance to each union.
+    type State = [Leaf; 3];
+
     #[inline(always)]
-    fn lower<V: Lanes>(&self, values: &mut EllipsoidDistances, center: Vec3, extents: Vec3) {
+    fn start<V: Lanes>(_: &Unions, settled: &LeafMask, _: &[NearbyLeaf<BallShape>]) -> [Leaf; 3] {
+        let mut found = Leaf::splat(0.0);
+        for row in 0..ROW_COUNT {
+            let is_settled = V::mask(settled.row(row));
+            V::select(is_settled, V::splat(-DEEP), V::splat(OUT_OF_REACH)).store(found.row_mut(row));
+        }
+        [found; 3]
+    }
+
+    #[inline(always)]
+    fn add<V: Lanes>(&self, unions: &Unions, found: &mut [Leaf; 3], center: Vec3, extents: Vec3) {
         let reach_squared = extents.x * extents.x;
         let dz = offsets::<V>(center.z);
         let dz_squared = dz.mul(dz);
@@ -492,20 +405,81 @@ impl ParticleShape for BallShape {
             for y in voxels_within(center.y, extents.y) {
                 let dy = y as f32 - center.y;
                 let (row, across) = (x * 8 + y, dx * dx + dy * dy);
-                if across > reach_squared || is_deep::<V>(&values.leaves, row) {
+                // A row that is deep inside S_min is inside the other unions, too.
+                let is_deep = || !V::any(V::splat(-DEEP).lt(V::load(found[2].row(row))));
+                if across > reach_squared || is_deep() {
                     continue;
                 }
                 let squared = V::splat(across).add(dz_squared);
                 let counts = V::not(V::splat(reach_squared).lt(squared));
                 let distance = squared.sqrt();
-                for (leaf, radius) in values.leaves.iter_mut().zip(values.radii) {
-                    let apart = distance.sub(V::splat(self.0 * radius));
-                    lower_row::<V>(leaf.row_mut(row), counts, apart);
+                for (leaf, radius) in found.iter_mut().zip(unions.radii) {
+                    let (row, apart) = (leaf.row_mut(row), distance.sub(V::splat(self.0 * radius)));
+                    let known = V::load(row);
+                    V::select(counts, apart.min(known), known).store(row);
                 }
             }
         }
     }
+
+    #[inline(always)]
+    fn finish<V: Lanes>(unions: &Unions, found: &[Leaf; 3], distances: [&mut Leaf; 3]) {
+        for ((found, distances), radius) in found.iter().zip(distances).zip(unions.radii) {
+            // Every ball contributes up to a fixed margin beyond its r_max. The larger the ball, the farther
+            // this limit is from its two smaller surfaces, so the smallest ball gives the distance up to
+            // which values take every ball into account.
+            let complete_to = EXACT_MARGIN + unions.shortest * (unions.radii[0] - radius);
+            for row in 0..ROW_COUNT {
+                let value = V::load(found.row(row)).max(V::splat(-DEEP));
+                let is_incomplete = V::splat(complete_to).lt(value);
+                V::select(is_incomplete, V::splat(OUT_OF_REACH), value).store(distances.row_mut(row));
+            }
+        }
+    }
 }
+
+/// The particle with the least q − r at each voxel, for the ellipsoids visited so far, with limits to skip
+/// those that are not nearer.
+///
+/// Voxels farther outside a particle than [`ELLIPSOID_MARGIN`] have no neighbor inside it. Voxels deeper than
+/// [`DEEP`] need no nearer particle.
+pub(super) struct NearestEllipsoids {
+    /// Number of unions that are searched, 1 or 3: one if all particles around have the radii of the settings,
+    /// so that one particle is the nearest for all unions.
+    searched: usize,
+    /// q + r − the particle's own r.
+    q: [Leaf; 3],
+    /// q / |T²(x − p)| of the same particle: voxels per unit of q.
+    ratio: [Leaf; 3],
+    /// For each voxel, the square of q beyond which a particle is not nearer.
+    limits: Leaf,
+    /// The maximum of each row's limits: row `x·8 + y` at `[x][y]`.
+    row_limits: [[f32; 8]; 8],
+    /// The largest q that matters.
+    farthest: f32,
+    /// A voxel with a smaller q is deep.
+    deep: f32,
+}
+
+impl NearestEllipsoids {
+    /// Updates the limits of a row.
+    #[inline(always)]
+    fn limit_row<V: Lanes>(&mut self, row: usize) {
+        let mut limit = V::splat(0.0);
+        for q in &self.q[..self.searched] {
+            limit = limit.max(V::load(q.row(row)));
+        }
+        // The last union that is searched is S_min, or all of them.
+        let is_deep = V::load(self.q[self.searched - 1].row(row)).lt(V::splat(self.deep));
+        let limit = V::select(is_deep, V::splat(0.0), limit.min(V::splat(self.farthest)));
+        let squared = limit.mul(limit).mul(V::splat(LIMIT_SLACK));
+        squared.store(self.limits.row_mut(row));
+        self.row_limits[row >> 3 & 7][row & 7] = greatest(squared);
+    }
+}
+
+/// Above 1 by more than the relative rounding errors of q² and of its minimum in a row, which is a difference.
+const LIMIT_SLACK: f32 = 1.0 + 1e-4;
 
 impl ParticleShape for EllipsoidShape {
     #[inline(always)]
@@ -517,21 +491,49 @@ impl ParticleShape for EllipsoidShape {
         1.0 / longest_image(&self.ellipsoid)
     }
 
-    /// Only values next to the surfaces are needed.
-    fn complete_to(_: &Radii) -> [f32; 3] {
-        [OUT_OF_REACH; 3]
+    fn has_own_radii(&self) -> bool {
+        self.ellipsoid.init != 1.0 || self.ellipsoid.max != 1.0
     }
 
     fn extents(&self, outermost: f32) -> Vec3 {
         outermost * self.ellipsoid.max * self.ellipsoid.extents() + ELLIPSOID_MARGIN
     }
 
+    type State = NearestEllipsoids;
+
     #[inline(always)]
-    fn lower<V: Lanes>(&self, values: &mut EllipsoidDistances, center: Vec3, extents: Vec3) {
+    fn start<V: Lanes>(
+        unions: &Unions,
+        settled: &LeafMask,
+        around: &[NearbyLeaf<EllipsoidShape>],
+    ) -> NearestEllipsoids {
+        let shortest = around.iter().map(|leaf| leaf.shortest).fold(f32::INFINITY, f32::min);
+        let [max, _, min] = unions.radii;
+        let mut found = NearestEllipsoids {
+            searched: if around.iter().any(|leaf| leaf.has_own_radii) { 3 } else { 1 },
+            q: [Leaf::splat(0.0); 3],
+            ratio: [Leaf::splat(1.0); 3],
+            limits: Leaf::splat(0.0),
+            row_limits: [[0.0; 8]; 8],
+            farthest: max + ELLIPSOID_MARGIN / shortest,
+            deep: min - DEEP / shortest,
+        };
+        for row in 0..ROW_COUNT {
+            let is_settled = V::mask(settled.row(row));
+            for q in &mut found.q {
+                V::select(is_settled, V::splat(f32::MIN), V::splat(OUT_OF_REACH)).store(q.row_mut(row));
+            }
+            found.limit_row::<V>(row);
+        }
+        found
+    }
+
+    #[inline(always)]
+    fn add<V: Lanes>(&self, unions: &Unions, found: &mut NearestEllipsoids, center: Vec3, extents: Vec3) {
         let EllipsoidShape { ellipsoid, row_form, ratio_min } = self;
         let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball;
-        let [max, init, min] = values.radii;
-        let radii = [ellipsoid.max * max, ellipsoid.init * init, min];
+        let [max, init, _] = unions.radii;
+        let excess = [max - ellipsoid.max * max, init - ellipsoid.init * init, 0.0];
         let dz = offsets::<V>(center.z);
         let counts_along_z = V::not(V::splat(extents.z).lt(dz.abs()));
         let (along_x, along_y, along_z) = (V::splat(xz).mul(dz), V::splat(yz).mul(dz), V::splat(zz).mul(dz));
@@ -539,7 +541,7 @@ impl ParticleShape for EllipsoidShape {
         let is_within_y = bits_of(voxels_within(center.y, extents.y));
         for x in voxels_within(center.x, extents.x) {
             let dx = x as f32 - center.x;
-            let limits = V::load(&values.row_limits[x & 7]);
+            let limits = V::load(&found.row_limits[x & 7]);
             let is_beyond = V::bits(limits.lt(row_form.least_squared::<V>(dx, dy_of_rows)));
             for y in SetBits(is_within_y & !is_beyond) {
                 let (row, dy) = (x * 8 + y, y as f32 - center.y);
@@ -547,7 +549,8 @@ impl ParticleShape for EllipsoidShape {
                 let (tx, ty, tz) =
                     (V::splat(at.x).add(along_x), V::splat(at.y).add(along_y), V::splat(at.z).add(along_z));
                 let q_squared = length_squared(tx, ty, tz);
-                let counts = V::both(counts_along_z, q_squared.lt(V::load(values.limits.row(row))));
+                let is_beyond = V::load(found.limits.row(row)).lt(q_squared);
+                let counts = V::both(counts_along_z, V::not(is_beyond));
                 if V::bits(counts) == 0 {
                     continue;
                 }
@@ -556,12 +559,31 @@ impl ParticleShape for EllipsoidShape {
                 let wz = V::splat(xz).mul(tx).add(V::splat(yz).mul(ty)).add(V::splat(zz).mul(tz));
                 let w_squared = length_squared(wx, wy, wz).max(V::splat(f32::MIN_POSITIVE));
                 let ratio = q_squared.div(w_squared).sqrt().max(V::splat(*ratio_min));
-                let q = q_squared.sqrt();
-                for (leaf, radius) in values.leaves.iter_mut().zip(radii) {
-                    let apart = q.sub(V::splat(radius)).mul(ratio);
-                    lower_row::<V>(leaf.row_mut(row), counts, apart);
+                let q = V::select(counts, q_squared.sqrt(), V::splat(OUT_OF_REACH));
+                for union in 0..found.searched {
+                    let (known, ratios) = (found.q[union].row_mut(row), found.ratio[union].row_mut(row));
+                    let (own, nearest, of_nearest) =
+                        (q.add(V::splat(excess[union])), V::load(known), V::load(ratios));
+                    // Of two particles that are equally near, that with the smaller ratio counts, in any order.
+                    let of_equal = V::select(nearest.lt(own), of_nearest, of_nearest.min(ratio));
+                    V::select(own.lt(nearest), ratio, of_equal).store(ratios);
+                    own.min(nearest).store(known);
                 }
-                values.limit_row::<V>(row);
+                found.limit_row::<V>(row);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn finish<V: Lanes>(unions: &Unions, found: &NearestEllipsoids, distances: [&mut Leaf; 3]) {
+        for (union, (distances, radius)) in distances.into_iter().zip(unions.radii).enumerate() {
+            let searched = union.min(found.searched - 1);
+            for row in 0..ROW_COUNT {
+                let [q, ratio] = [&found.q, &found.ratio].map(|fields| V::load(fields[searched].row(row)));
+                // A voxel next to an inside one is at most one voxel from the surface. At thin ellipsoids, the
+                // particle with the least q can be another one, farther away.
+                let value = q.sub(V::splat(radius)).mul(ratio).max(V::splat(-DEEP)).min(V::splat(1.0));
+                value.store(distances.row_mut(row));
             }
         }
     }

@@ -11,7 +11,7 @@
 //! distance and is kept unchanged. Inside the union, that value is not the distance to the surface: however
 //! deep a voxel lies, some center is near it. So inside, only the voxels next to the surface keep the value,
 //! and fast sweeping computes the others from them. The zero sets of the bounds are therefore those of the
-//! spheres themselves.
+//! spheres themselves. Only there do bounds bind, so they are computed near them and are open elsewhere.
 //!
 //! Most of a frame is deep inside. `Culling` determines which particles and leaves can affect the surface;
 //! nothing else is stored:
@@ -70,10 +70,17 @@ pub struct Radii {
     /// If particles have longer semi-axes, the band is too narrow for the surface to move quite as far as
     /// their bounds would allow.
     pub band_scale: f32,
+    /// How much less than its bounds allow the surface moves, in voxels: the band is narrower by that.
+    pub unused_gap: f32,
     /// Offset of the finished surface, in voxels: positive outward, negative inward. The band is wide enough
     /// for it.
     pub offset: f32,
 }
+
+/// Bounds are distances up to this far from their zero set, in voxels: far enough to cover both voxels of every
+/// edge that the zero set crosses. Farther away they only keep φ on its side, by at least this distance. The
+/// surface differs from that with bounds everywhere by a hundredth of a voxel.
+const BOUND_REACH: f32 = 1.5;
 
 /// Exact distances are kept up to this far beyond r_max, in voxels; fast sweeping computes those beyond.
 const EXACT_MARGIN: f32 = 2.0;
@@ -81,7 +88,7 @@ const EXACT_MARGIN: f32 = 2.0;
 impl Radii {
     /// The radii of uniform balls.
     pub const fn uniform(min: f32, init: f32, max: f32) -> Radii {
-        Radii { min, init, max, min_scale: 1.0, band_scale: 1.0, offset: 0.0 }
+        Radii { min, init, max, min_scale: 1.0, band_scale: 1.0, unused_gap: 0.0, offset: 0.0 }
     }
 
     /// Half width of the band during smoothing, in voxels. The offset uses up a part of this width: around
@@ -91,9 +98,10 @@ impl Radii {
     }
 
     /// Half width that smoothing needs at most (Eq. 7), in voxels: it reads values up to 5 voxels from the
-    /// surface, and the surface may move to either bound. The band of the result has this half width, too.
+    /// surface, and the surface may move to either bound, less the unused gap. The band of the result has this
+    /// half width, too.
     pub fn result_half_width(&self) -> f32 {
-        let gap = (self.max - self.init).max(self.init - self.min) * self.band_scale;
+        let gap = (self.max - self.init).max(self.init - self.min) * self.band_scale - self.unused_gap;
         // Tolerates rounding: radii that differ by whole voxels need no extra voxel.
         5.0 + (gap - 1e-4).max(0.0).ceil()
     }
@@ -103,8 +111,8 @@ impl Radii {
     /// away; two leaves, which may appear or disappear with φ_0; and that of the sweeps of the bounds on
     /// these leaves. `longest` is the longest semi-axis of any particle, in units of the radii.
     pub fn reach_voxels(&self, longest: f32) -> u32 {
-        let swept = 2 * sweep_count(self.half_width());
-        self.exact_reach(longest).ceil() as u32 + swept + 2 * LEAF_EDGE as u32 + swept
+        let swept = [self.half_width(), BOUND_REACH].map(|reach| 2 * sweep_count(reach));
+        self.exact_reach(longest).ceil() as u32 + swept[0] + 2 * LEAF_EDGE as u32 + swept[1]
     }
 
     /// Number of leaves around a window that are rasterized with it.
@@ -258,6 +266,8 @@ struct NearDistances {
     bins: ParticleBins,
     topology: Topology,
     distances: SphereDistances,
+    /// Memory for the sweeps: a field with arbitrary content.
+    scratch: Field,
 }
 
 fn measure(
@@ -269,10 +279,10 @@ fn measure(
     let culling = Culling::new(occupancy, scene, regions);
     let bins = ParticleBins::new(source, &scene.lattice, occupancy, &culling, regions)?;
     let solver = DistanceSolver::new(&bins, scene.radii);
-    let near = solver.distances(&culling.near, &culling, None);
+    let near = solver.distances(&culling.near, &culling);
     let topology = Topology::new(leaves_near_surface(&culling, &near, scene, regions));
-    let distances = solver.distances(&topology, &culling, Some((&culling.near, &near)));
-    Ok(NearDistances { bins, topology, distances })
+    let (distances, scratch) = solver.extended((&culling.near, near), &topology, &culling);
+    Ok(NearDistances { bins, topology, distances, scratch })
 }
 
 /// Origins of the leaves near the surface: those with a voxel within the band's margin, per axis, of a voxel
@@ -338,11 +348,11 @@ fn remove_obstacle(inside: &mut LeafMask, obstacle: &ObstacleLeaf) {
 
 /// φ_0 and the bounds, on the leaves with a value of φ_0 within the half width.
 fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) -> RasterFields {
-    let NearDistances { bins, topology, mut distances } = measured;
+    let NearDistances { bins, topology, mut distances, mut scratch } = measured;
     let radii = scene.radii;
     let half_width = radii.half_width();
-    let mut scratch = Field::default();
-    let mut phi = signed_distance(&topology, &mut distances, SphereUnion::Init, radii, &mut scratch);
+    let mut phi =
+        signed_distance(&topology, &mut distances, SphereUnion::Init, radii, half_width, &mut scratch);
     let is_banded = |leaf: usize| {
         let origin = topology.origins()[leaf];
         let is_within = |obstacle: &ObstacleLeaf| has_value_within(&phi.leaves[leaf], half_width, obstacle);
@@ -354,13 +364,13 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     };
     let kept: Vec<usize> =
         (0..topology.len()).into_par_iter().halved().filter(|&leaf| is_banded(leaf)).collect();
-    if wastes_memory(topology.len(), kept.len()) {
+    if topology.len() - kept.len() > WASTED_LEAVES_MAX {
         scratch = Field::default();
     }
     rayon::join(|| keep(&mut phi, &kept), || distances.keep(&kept));
     let topology = subset(topology, &kept);
-    let mut lower = signed_distance(&topology, &mut distances, SphereUnion::Max, radii, &mut scratch);
-    let mut upper = signed_distance(&topology, &mut distances, SphereUnion::Min, radii, &mut scratch);
+    let [mut lower, mut upper] = [SphereUnion::Max, SphereUnion::Min]
+        .map(|sphere| signed_distance(&topology, &mut distances, sphere, radii, BOUND_REACH, &mut scratch));
     drop((distances, scratch));
     let own: Vec<usize> =
         (0..topology.len()).filter(|&leaf| regions.own.contains(topology.origins()[leaf])).collect();
@@ -416,14 +426,14 @@ fn keep(field: &mut Field, kept: &[usize]) {
     field.leaves.truncate(kept.len());
 }
 
-/// Whether a field with memory for `count` leaves is too large for `kept_count` leaves. A small field that
-/// loses a few leaves keeps its memory, because the system takes longer to provide new memory.
+/// Whether a field with memory for `count` leaves is too large for `kept_count` leaves. A field that loses few
+/// leaves keeps its memory, because the system takes longer to provide new memory.
 fn wastes_memory(count: usize, kept_count: usize) -> bool {
-    (count - kept_count) * size_of::<Leaf>() > WASTED_BYTES_MAX
+    count - kept_count > (count / 8).min(WASTED_LEAVES_MAX)
 }
 
-/// Memory per field that may stay unused, in bytes.
-const WASTED_BYTES_MAX: usize = 2 << 20;
+/// Number of leaves per field whose memory may stay unused: 2 MiB.
+const WASTED_LEAVES_MAX: usize = (2 << 20) / size_of::<Leaf>();
 
 /// The topology that contains only the leaves `kept` of `topology`.
 fn subset(topology: Topology, kept: &[usize]) -> Topology {
@@ -439,9 +449,9 @@ fn sweep_count(half_width: f32) -> u32 {
     (3f32.sqrt() * half_width).ceil() as u32
 }
 
-/// Clamps all values to ± half width, ensures `lower` ≤ `upper` at every voxel (independent sweeps do not
-/// guarantee it), and clamps φ between them. Where φ_0 is above `inner_from`, φ stays at or above
-/// `inner_value`.
+/// Clamps φ to ± half width, and opens the bounds beyond [`BOUND_REACH`]. Ensures `lower` ≤ `upper` at every
+/// voxel (independent sweeps do not guarantee it), and clamps φ between them. Where φ_0 is above `inner_from`,
+/// φ stays at or above `inner_value`.
 fn finish(band: &mut NarrowBand, bounds: &mut Bounds, inner_from: f32, inner_value: f32) {
     let half_width = band.half_width;
     let bounds = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
@@ -469,14 +479,17 @@ impl Kernel for ClampLeaf<'_> {
     #[inline(always)]
     fn run<V: Lanes>(self) {
         let (least, most) = (V::splat(-self.half_width), V::splat(self.half_width));
+        let (inward, outward) = (V::splat(-BOUND_REACH), V::splat(BOUND_REACH));
         let (inner_value, inner_from) = (V::splat(self.inner_value), V::splat(self.inner_from));
         for row in 0..ROW_COUNT {
             let (phi, lower, upper) =
                 (self.phi.row_mut(row), self.lower.row_mut(row), self.upper.row_mut(row));
             let start = V::load(phi).max(least).min(most);
             let lowest = V::select(inner_from.lt(start), inner_value, least);
-            let new_upper = V::load(upper).max(least).min(most);
-            let new_lower = V::load(lower).max(lowest).min(most).min(new_upper);
+            let (given_lower, given_upper) = (V::load(lower), V::load(upper));
+            let new_upper = V::select(outward.lt(given_upper), most, given_upper.max(inward));
+            let open_lower = V::select(given_lower.lt(inward), least, given_lower.min(outward));
+            let new_lower = open_lower.max(lowest).min(new_upper);
             let new_phi = start.max(new_lower).min(new_upper);
             new_upper.store(upper);
             new_lower.store(lower);
@@ -518,11 +531,11 @@ impl Regions {
     /// The regions for the leaves that a window touches. `longest` bounds the semi-axes of all particles, in
     /// units of the radii.
     fn new(window: CoordBox, radii: Radii, longest: f32) -> Regions {
-        let swept_voxels = 2 * sweep_count(radii.half_width()) as i32 + 1;
+        let swept_voxels = |reach| 2 * sweep_count(reach) as i32 + 1;
         let window = CoordBox { min: window.min.max(EVERYWHERE.min), max: window.max.min(EVERYWHERE.max) };
         let own = leaves_around(window, 0);
-        let banded = leaves_around(own, swept_voxels);
-        let swept = leaves_around(banded, swept_voxels);
+        let banded = leaves_around(own, swept_voxels(BOUND_REACH));
+        let swept = leaves_around(banded, swept_voxels(radii.half_width()));
         let crossed = leaves_around(swept, radii.band_margin());
         let measured = leaves_around(crossed, 1);
         // Rounding can put a particle on the upper boundary of its cell, so the index of its voxel may be too
@@ -602,8 +615,8 @@ mod tests_of_regions {
     fn one_leaf_window_needs_these_rings_of_leaves() {
         let radii = Radii::uniform(1.732, 2.598, 3.464);
         let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::splat(7) }, radii, 1.0);
-        // 23 voxels for the sweeps are three leaves; then follow 7 voxels, 1 voxel and 7 voxels.
-        let rings = [0, 3, 6, 7, 8, 9];
+        // 7 and 23 voxels for the sweeps are one and three leaves; then follow 7 voxels, 1 voxel and 7 voxels.
+        let rings = [0, 1, 4, 5, 6, 7];
         let found = [
             regions.own,
             regions.banded,

@@ -83,16 +83,16 @@ fn reference(positions: &[[f32; 3]], radii: Radii) -> (NarrowBand, Bounds) {
     let sizes = [radii.max, radii.init, radii.min];
     let is_crossing = |voxel| nearest.is_crossing(voxel, radii.init);
     let half_width = radii.half_width();
-    let signed = |topology: &Topology, surface: usize| nearest.signed(topology, sizes[surface], half_width);
+    let signed = |topology: &Topology, surface: usize, reach| nearest.signed(topology, sizes[surface], reach);
     assembled(nearest.leaves.keys().copied(), is_crossing, signed, half_width)
 }
 
 /// The level sets around the crossings in these leaves. `signed` computes the distances to S_max, S_0 and
-/// S_min.
+/// S_min, up to some reach.
 pub(super) fn assembled(
     leaves: impl Iterator<Item = IVec3>,
     is_crossing: impl Fn(IVec3) -> bool,
-    signed: impl Fn(&Topology, usize) -> Field,
+    signed: impl Fn(&Topology, usize, f32) -> Field,
     half_width: f32,
 ) -> (NarrowBand, Bounds) {
     let mut stored = Vec::new();
@@ -104,14 +104,21 @@ pub(super) fn assembled(
         stored.push((origin, surface.expanded(if surface.is_empty() { 0 } else { half_width as i32 + 1 })));
     }
     let topology = Topology::new(leaves_of_boxes(&stored, |_| true));
-    let phi = signed(&topology, 1);
+    let mut phi = signed(&topology, 1, half_width);
+    for value in phi.leaves.iter_mut().flat_map(|leaf| &mut leaf.values) {
+        *value = value.clamp(-half_width, half_width);
+    }
     let has_value = |leaf: &usize| phi.leaves[*leaf].values.iter().any(|value| value.abs() < half_width);
     let kept: Vec<usize> = (0..topology.len()).filter(has_value).collect();
     let phi = Field { leaves: kept.iter().map(|&leaf| phi.leaves[leaf]).collect() };
     let topology = Topology::new(kept.iter().map(|&leaf| topology.origins()[leaf]).collect());
-    let mut bounds = Bounds { lower: signed(&topology, 0), upper: signed(&topology, 2) };
-    for (lower, upper) in bounds.lower.leaves.iter_mut().zip(&bounds.upper.leaves) {
-        lower.values.iter_mut().zip(upper.values).for_each(|(lower, upper)| *lower = lower.min(upper));
+    let [lower, upper] = [0, 2].map(|surface| signed(&topology, surface, BOUND_REACH));
+    let mut bounds = Bounds { lower, upper };
+    for (lower, upper) in bounds.lower.leaves.iter_mut().zip(&mut bounds.upper.leaves) {
+        for (lower, upper) in lower.values.iter_mut().zip(&mut upper.values) {
+            *upper = if *upper > BOUND_REACH { half_width } else { upper.max(-BOUND_REACH) };
+            *lower = if *lower < -BOUND_REACH { -half_width } else { lower.min(BOUND_REACH) }.min(*upper);
+        }
     }
     let mut band = NarrowBand { topology: Arc::new(topology), phi, half_width };
     bounds.clamp(&mut band.phi);
@@ -120,7 +127,7 @@ pub(super) fn assembled(
 
 /// Sweeps signed distances: `value_at` returns a voxel's value, and whether it is final; the others are
 /// swept.
-pub(super) fn swept(topology: &Topology, half_width: f32, value_at: impl Fn(IVec3) -> (f32, bool)) -> Field {
+pub(super) fn swept(topology: &Topology, reach: f32, value_at: impl Fn(IVec3) -> (f32, bool)) -> Field {
     let mut distance = Field::splat(topology.len(), 0.0);
     let mut known = vec![LeafMask::EMPTY; topology.len()];
     for (leaf, &origin) in topology.origins().iter().enumerate() {
@@ -138,10 +145,7 @@ pub(super) fn swept(topology: &Topology, half_width: f32, value_at: impl Fn(IVec
             }
         }
     }
-    extend(topology, &mut distance, &known, Sweeps::accurate(sweep_count(half_width)));
-    for value in distance.leaves.iter_mut().flat_map(|leaf| &mut leaf.values) {
-        *value = value.clamp(-half_width, half_width);
-    }
+    extend(topology, &mut distance, &known, Sweeps::accurate(sweep_count(reach)));
     distance
 }
 
@@ -190,8 +194,8 @@ impl Distances {
         self.at(voxel) < radius && FACE_STEPS.iter().any(|&step| self.at(voxel + step) >= radius)
     }
 
-    fn signed(&self, topology: &Topology, radius: f32, half_width: f32) -> Field {
-        swept(topology, half_width, |voxel| {
+    fn signed(&self, topology: &Topology, radius: f32, reach: f32) -> Field {
+        swept(topology, reach, |voxel| {
             let nearest = self.at(voxel);
             let is_adjacent =
                 |step: &IVec3| topology.find_voxel(voxel + step).is_some() && self.at(voxel + step) >= radius;

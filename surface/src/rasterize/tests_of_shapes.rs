@@ -50,6 +50,15 @@ fn flat_among_round(count: usize, thickness: f32) -> Shapes {
     Shapes::Ellipsoids(shapes)
 }
 
+/// Every third ellipsoid gets its own r_init and r_max.
+fn with_own_radii(shapes: Shapes) -> Shapes {
+    let Shapes::Ellipsoids(mut shapes) = shapes else { unreachable!("by construction") };
+    for (index, shape) in shapes.iter_mut().enumerate().step_by(3) {
+        (shape.init, shape.max) = (0.7 + 0.3 * random(index, 7), 0.7 + 0.3 * random(index, 8));
+    }
+    Shapes::Ellipsoids(shapes)
+}
+
 #[test]
 fn scaled_balls_of_scale_one_equal_uniform_balls() {
     for (name, positions) in scenes() {
@@ -85,8 +94,11 @@ fn round_ellipsoids_approximate_balls() {
         shared_count += 1;
         for (field, (round, balls)) in fields.into_iter().enumerate() {
             for offset in 0..512 {
-                let (value, expected) =
-                    (round.leaves[other].values[offset], balls.leaves[leaf].values[offset]);
+                // Bounds are open farther away.
+                let reach = if field == 0 { f32::INFINITY } else { 1.0 };
+                let [value, expected] =
+                    [round.leaves[other].values[offset], balls.leaves[leaf].values[offset]]
+                        .map(|value| value.clamp(-reach, reach));
                 assert_eq!(value < 0.0, expected < 0.0, "{value} for {expected} in field {field}");
                 let is_adjacent = |step: &IVec3| {
                     let found = balls_topology.find_voxel(origin + voxel_in_leaf(offset) + step);
@@ -112,6 +124,10 @@ fn culling_changes_no_bit() {
             (Radii { band_scale: 1.5, min_scale: 0.7, ..RADII[2] }, ellipsoids(count, 0.7, 1.4)),
             (Radii { band_scale: 2.0, ..RADII[0] }, ellipsoids(count, 1.0, 2.2)),
             (Radii { min_scale: 0.3, ..RADII[2] }, flat_among_round(count, 0.3)),
+            (
+                Radii { min_scale: 0.3, unused_gap: 3.0, ..RADII[2] },
+                with_own_radii(flat_among_round(count, 0.3)),
+            ),
         ] {
             let source = cloud(&positions, shapes);
             let (band, bounds) = reference(&source, radii);
@@ -179,11 +195,12 @@ fn windows_equal_the_whole_frame() {
 /// optimized code does.
 fn reference(source: &ParticleCloud, radii: Radii) -> (NarrowBand, Bounds) {
     let (values, half_width) = (Definition::new(source, radii), radii.half_width());
-    let signed = |topology: &Topology, surface: usize| values.signed(topology, surface, half_width);
+    let signed = |topology: &Topology, surface: usize, reach| values.signed(topology, surface, reach);
     assembled(values.leaves.keys().copied(), |voxel| values.is_crossing(voxel), signed, half_width)
 }
 
-/// Minimum of all particles' values at every voxel within their range, for the three radii.
+/// The values at every voxel within the range of a particle, for the three radii: of balls, the least; of
+/// ellipsoids, that of the particle with the least key.
 struct Definition {
     leaves: FxHashMap<IVec3, [Leaf; 3]>,
     is_exact_outside: bool,
@@ -195,6 +212,7 @@ impl Definition {
             unreachable!("single by construction")
         };
         let mut leaves: FxHashMap<IVec3, [Leaf; 3]> = FxHashMap::default();
+        let mut keys: FxHashMap<IVec3, [Leaf; 3]> = FxHashMap::default();
         let radii = [radii.max, radii.init, radii.min];
         for (particle, &position) in positions.iter().enumerate() {
             let position = Vec3::from(position).as_dvec3();
@@ -207,8 +225,9 @@ impl Definition {
                 for y in first.y..=last.y {
                     for z in first.z..=last.z {
                         let step = IVec3::new(x, y, z) * 8;
-                        let values =
-                            leaves.entry(leaf.as_ivec3() + step).or_insert([Leaf::splat(f32::INFINITY); 3]);
+                        let [values, keys] = [&mut leaves, &mut keys].map(|leaves| {
+                            leaves.entry(leaf.as_ivec3() + step).or_insert([Leaf::splat(f32::INFINITY); 3])
+                        });
                         for (offset, voxel) in
                             (0..512).map(|offset| (offset, voxel_in_leaf(offset).as_vec3()))
                         {
@@ -217,19 +236,25 @@ impl Definition {
                             if apart.abs().max_element() > reach as f32 {
                                 continue;
                             }
-                            let particle_values = value_of(&source.shapes, particle, apart, radii);
-                            for (values, value) in values.iter_mut().zip(particle_values) {
-                                values.values[offset] = values.values[offset].min(value);
+                            let found = value_of(&source.shapes, particle, apart, radii);
+                            for (union, (key, value)) in found.into_iter().enumerate() {
+                                let nearest = &mut keys[union].values[offset];
+                                let known = &mut values[union].values[offset];
+                                if key < *nearest || key == *nearest && value.abs() < known.abs() {
+                                    (*nearest, *known) = (key, value);
+                                }
                             }
                         }
                     }
                 }
             }
         }
+        let is_exact_outside = matches!(source.shapes, Shapes::Scaled(_));
+        let most = if is_exact_outside { f32::INFINITY } else { 1.0 };
         for leaf in leaves.values_mut().flatten() {
-            leaf.values.iter_mut().for_each(|value| *value = value.max(-1.25));
+            leaf.values.iter_mut().for_each(|value| *value = value.max(-1.25).min(most));
         }
-        Definition { leaves, is_exact_outside: matches!(source.shapes, Shapes::Scaled(_)) }
+        Definition { leaves, is_exact_outside }
     }
 
     fn at(&self, voxel: IVec3, surface: usize) -> f32 {
@@ -243,8 +268,8 @@ impl Definition {
         self.at(voxel, 1) < 0.0 && FACE_STEPS.iter().any(|&step| self.at(voxel + step, 1) >= 0.0)
     }
 
-    fn signed(&self, topology: &Topology, surface: usize, half_width: f32) -> Field {
-        swept(topology, half_width, |voxel| {
+    fn signed(&self, topology: &Topology, surface: usize, reach: f32) -> Field {
+        swept(topology, reach, |voxel| {
             let value = self.at(voxel, surface);
             let is_adjacent = |step: &IVec3| {
                 let is_other = (self.at(voxel + step, surface) < 0.0) != (value < 0.0);
@@ -256,8 +281,8 @@ impl Definition {
     }
 }
 
-/// A particle's values at a position relative to its center, infinite outside its range.
-fn value_of(shapes: &Shapes, particle: usize, apart: Vec3, radii: [f32; 3]) -> [f32; 3] {
+/// A particle's keys and values at a position relative to its center, infinite outside its range.
+fn value_of(shapes: &Shapes, particle: usize, apart: Vec3, radii: [f32; 3]) -> [(f32, f32); 3] {
     match shapes {
         Shapes::Uniform => unreachable!("uniform balls have separate tests"),
         Shapes::Scaled(scales) => {
@@ -265,7 +290,8 @@ fn value_of(shapes: &Shapes, particle: usize, apart: Vec3, radii: [f32; 3]) -> [
             radii.map(|radius| {
                 let value = squared.sqrt() - scales[particle] * radius;
                 // Distances beyond the range of the smallest balls, whose scale is at least 1, are swept.
-                if value <= 2.0 + (radii[0] - radius) { value } else { f32::INFINITY }
+                let value = if value <= 2.0 + (radii[0] - radius) { value } else { f32::INFINITY };
+                (value, value)
             })
         }
         Shapes::Ellipsoids(ellipsoids) => {
@@ -279,9 +305,11 @@ fn value_of(shapes: &Shapes, particle: usize, apart: Vec3, radii: [f32; 3]) -> [
             let ratio = (squared(once) / squared(twice).max(f32::MIN_POSITIVE)).sqrt();
             let norm = (xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)).sqrt();
             let counts = apart.abs().cmple(extents).all();
-            radii.map(|radius| {
-                let value = (squared(once).sqrt() - radius) * ratio.max(1.0 / norm);
-                if counts { value } else { f32::INFINITY }
+            let own = [ellipsoid.max, ellipsoid.init, 1.0];
+            std::array::from_fn(|union| {
+                let key = squared(once).sqrt() + (radii[union] - own[union] * radii[union]);
+                let value = (key - radii[union]) * ratio.max(1.0 / norm);
+                if counts { (key, value) } else { (f32::INFINITY, f32::INFINITY) }
             })
         }
     }

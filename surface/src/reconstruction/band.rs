@@ -79,7 +79,6 @@ impl BoundedBand {
         }
         let lattice = lattice(settings);
         let mut mesh = contour::contour(&band, &lattice, settings.contouring);
-        report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
         // Rounding to world positions depends on where the mesh is.
         mesh.origin += translation;
         // A level set has no particles to check.

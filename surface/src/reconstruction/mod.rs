@@ -181,6 +181,7 @@ fn radii(settings: &Settings) -> Radii {
             max,
             min_scale: 0.9999 * shape::min_scale(settings),
             band_scale: shape::band_scale(settings),
+            unused_gap: shape::unused_gap(settings),
             offset,
         }
     } else {

@@ -173,11 +173,8 @@ fn plan_any(
     too_large(needed_bytes, false)
 }
 
-/// Number of fields in memory during rasterization, including temporary fields of the sweeps. Anisotropic
-/// particles need distances to three surfaces; others, to one center.
-fn rasterizing_fields(settings: &Settings) -> f64 {
-    if settings.has_per_particle_shapes() { 7.4 } else { 5.2 }
-}
+/// Number of fields in memory during rasterization: three, one that is made, and temporary ones.
+const RASTERIZING_FIELDS: f64 = 5.2;
 
 /// Number of fields in memory during smoothing.
 pub(super) fn smoothing_fields(settings: &Settings) -> f64 {
@@ -239,9 +236,9 @@ fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
     SHAPE_BYTES * shaped_count as f64 + of_changes + given
 }
 
-/// Average memory per near particle, in bytes, for the original positions that may lie outside the surface.
-/// The average is small because few positions do.
-const MOVED_PARTICLE_BYTES: f64 = 6.0;
+/// Memory per near particle, in bytes, for the original positions that may lie outside the surface. Few may,
+/// unless there are obstacles: then all are kept.
+const MOVED_PARTICLE_BYTES: f64 = 36.0;
 
 /// Memory, in bytes, while neighborhoods are evaluated. The rest of the frame does not exist yet.
 fn neighbors_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
@@ -311,7 +308,7 @@ const LISTED_LEAF_BYTES: f64 = 64.0;
 fn in_core_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> u64 {
     let [surface, area, occupied, particles] = counts(footprint, settings);
     let stages = [
-        FIELD_BYTES * rasterizing_fields(settings) * surface + sorted_leaf_bytes(settings) * occupied,
+        FIELD_BYTES * RASTERIZING_FIELDS * surface + sorted_leaf_bytes(settings) * occupied,
         FIELD_BYTES * smoothing_fields(settings) * surface,
         edit_bytes(footprint, settings),
         offset_bytes(settings, surface),
@@ -349,7 +346,7 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64,
     let kept = kept_bytes(surface, occupied, settings);
     let sorting = (sorted_leaf_bytes(settings) - occupied_leaf_bytes(settings)) * occupied * part + particles;
     let stages = [
-        FIELD_BYTES * rasterizing_fields(settings) * rasterized + sorting,
+        FIELD_BYTES * RASTERIZING_FIELDS * rasterized + sorting,
         FIELD_BYTES * smoothing_fields(settings) * smoothed,
         edit_bytes(footprint, settings) + sorting,
         offset_bytes(settings, surface),

@@ -419,6 +419,13 @@ pub(super) fn band_scale(settings: &Settings) -> f32 {
     if settings.per_particle_radius.is_some() { SCALE_MARGIN } else { 1.0 }
 }
 
+/// How much less than its bounds allow the surface of stretched particles moves, in voxels. On the grids of the
+/// presets, a band that is narrower by this leaves ∫H² as it is, within 1 %.
+pub(super) fn unused_gap(settings: &Settings) -> f32 {
+    let is_stretched = settings.anisotropy != Anisotropy::None && settings.per_particle_radius.is_none();
+    if is_stretched { 3.0 } else { 0.0 }
+}
+
 /// With the radii of the paper, the bounds of a particle with three times the smallest radius are three
 /// voxels (rounded up) from the initial surface: farther than smoothing moves a surface.
 const SCALE_MARGIN: f32 = 3.0;

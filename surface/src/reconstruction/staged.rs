@@ -23,7 +23,6 @@ use super::{
     FrameSurface, SurfaceAttributes, inside_obstacles, lattice, raster_params, reach_of_particles,
     smooth_config,
 };
-use crate::contour;
 use crate::grid::LEAF_EDGE;
 use crate::level_set::{Bounds, NarrowBand};
 use crate::mesh::{Mesh, PositionRounding};
@@ -482,7 +481,6 @@ fn contour_within<P: NearParticles>(
     let leaves = if settings.drop_islands > 0 { particles.leaves()? } else { Vec::new() };
     let edits = postprocess::edit(&mut band, leaves, scene, settings, &mut report.edits);
     let mut mesh = postprocess::mesh(&band, &edits, scene, settings, &mut report.depth);
-    report.bending_energy = contour::bending_energy(&band, &scene.lattice, &mesh);
     let exempt = &SurfaceExclusions { scene, edits: &edits };
     let validate = |mesh: &Mesh, rounding_voxels: f32| {
         let cells = MeshCells::new(mesh, &band, &scene.lattice);

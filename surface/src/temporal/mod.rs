@@ -61,7 +61,8 @@ const HALF_WIDTH: f32 = 4.0;
 /// these numbers. Standard deviation of the displacements around a voxel, in spacings.
 const SCATTER: [f32; 2] = [1.0, 2.0];
 
-/// Difference between the level sets, in spacings.
+/// Difference between the level sets, in spacings. The second number is smaller if the band is too narrow for
+/// such a difference: values at its ends are farther from the surface than they say.
 const DISAGREEMENT: [f32; 2] = [1.0, 2.0];
 
 /// Share of the particles around a voxel, by weight, that cannot be followed.
@@ -247,6 +248,7 @@ fn average_leaf(
     for Carried { moves: of_band, band } in carried {
         of_band.fill(index, &mut moves);
         let mut sampler = Sampler::new(band);
+        let disagreement = DISAGREEMENT.map(|most| most.min((band.half_width - 1.0) / spacing_voxels));
         for (offset, &phi) in leaf.values.iter().enumerate() {
             if phi.abs() >= half_width {
                 continue;
@@ -265,7 +267,7 @@ fn average_leaf(
             }
             let Some(other) = sampler.sample(origin + voxel_in_leaf(offset), step) else { continue };
             let difference = other - phi;
-            let confidence = kept * falling(difference.abs() / spacing_voxels, DISAGREEMENT);
+            let confidence = kept * falling(difference.abs() / spacing_voxels, disagreement);
             changed[offset] += confidence * difference;
             changes.confidence += f64::from(confidence);
         }
