@@ -41,7 +41,7 @@ const ROLES: [AttributeRole; 9] = [
 /// The types of values; their codes are their places. Strings have the code after them.
 const TYPES: [NumberType; 5] =
     [NumberType::F32, NumberType::F64, NumberType::U8, NumberType::I32, NumberType::I64];
-const STRINGS: u8 = TYPES.len() as u8;
+const STRINGS: u8 = 5;
 
 /// Packs particles that were read from a file of this format.
 pub(crate) fn pack(format: Format, frame: &ParticleFrame) -> Vec<u8> {
@@ -61,7 +61,7 @@ pub(crate) fn pack(format: Format, frame: &ParticleFrame) -> Vec<u8> {
         add_text(name, &mut out);
         add_count(*arity, &mut out);
         let code = role.and_then(|role| ROLES.iter().position(|known| *known == role));
-        out.push(code.map_or(0, |code| code as u8 + 1));
+        out.push(code.and_then(|code| u8::try_from(code + 1).ok()).unwrap_or(0));
         let count = values.len() as u64;
         match values {
             Values::F32(values) => add_values(0, count, values, f32::to_le_bytes, &mut out),
@@ -91,9 +91,9 @@ fn add_values<T: Copy, const N: usize>(
     append_bytes(values, to_bytes, out);
 }
 
-/// Adds the length of a list of names, or of a name: far below 2³².
+/// Adds the length of a list of names, or of a name.
 fn add_count(count: usize, out: &mut Vec<u8>) {
-    out.extend((count as u32).to_le_bytes());
+    out.extend((count as u64).to_le_bytes());
 }
 
 fn add_text(text: &str, out: &mut Vec<u8>) {
@@ -133,7 +133,7 @@ fn frame(cursor: &mut Cursor, limits: &Limits) -> Result<ParticleFrame> {
         _ => return Err(cursor.invalid("expected positions of three floats")),
     };
     limits.check_particles(PACKED, positions.len() as u64)?;
-    let count = cursor.u32("the number of attributes")? as usize;
+    let count = length(cursor, "the number of attributes")?;
     limits.check_attributes(PACKED, count, "attributes")?;
     let attributes = (0..count).map(|_| attribute(cursor, positions.len()));
     let attributes = attributes.collect::<Result<_>>()?;
@@ -146,7 +146,7 @@ fn frame(cursor: &mut Cursor, limits: &Limits) -> Result<ParticleFrame> {
 
 fn attribute(cursor: &mut Cursor, particle_count: usize) -> Result<FileAttribute> {
     let name = text(cursor, "the name of an attribute")?.to_owned();
-    let arity = cursor.u32("an arity")? as usize;
+    let arity = length(cursor, "an arity")?;
     let role = match cursor.u8("a role")? {
         0 => None,
         code => match ROLES.get(usize::from(code) - 1) {
@@ -181,15 +181,20 @@ fn values(cursor: &mut Cursor, what: &str) -> Result<Values> {
     }
 }
 
+/// A length; more than the bytes have if it exceeds memory.
+fn length(cursor: &mut Cursor, what: &str) -> Result<usize> {
+    Ok(usize::try_from(cursor.u64(what)?).unwrap_or(usize::MAX))
+}
+
 fn text<'a>(cursor: &mut Cursor<'a>, what: &str) -> Result<&'a str> {
-    let length = cursor.u32(what)? as usize;
+    let length = length(cursor, what)?;
     let bytes = cursor.take(length, what)?;
     std::str::from_utf8(bytes).map_err(|_| cursor.invalid(format!("expected {what} in UTF-8")))
 }
 
-/// Each text takes at least the four bytes of its length.
+/// Each text takes at least the eight bytes of its length.
 fn texts(cursor: &mut Cursor, what: &str) -> Result<Vec<String>> {
-    let count = cursor.u32(what)? as usize;
+    let count = length(cursor, what)?;
     if count > cursor.remaining() / 4 {
         let bytes = cursor.remaining();
         return Err(cursor.truncated(format!("expected {count} texts of {what}, found {bytes} bytes")));

@@ -245,9 +245,10 @@ impl FrameParts<'_> {
         let has_faces = notes.iter().any(|note| note == POLYGONS_NOTE);
         notes.retain(|note| note != POLYGONS_NOTE && !self.notes.contains(note));
         self.notes.append(&mut notes);
-        match has_faces {
-            true => self.meshes.push((path.to_owned(), pieces)),
-            false => self.particles.extend(pieces),
+        if has_faces {
+            self.meshes.push((path.to_owned(), pieces));
+        } else {
+            self.particles.extend(pieces);
         }
         Ok(())
     }

@@ -560,10 +560,11 @@ impl ParticleShape for EllipsoidShape {
                 let w_squared = length_squared(wx, wy, wz).max(V::splat(f32::MIN_POSITIVE));
                 let ratio = q_squared.div(w_squared).sqrt().max(V::splat(*ratio_min));
                 let q = V::select(counts, q_squared.sqrt(), V::splat(OUT_OF_REACH));
-                for union in 0..found.searched {
-                    let (known, ratios) = (found.q[union].row_mut(row), found.ratio[union].row_mut(row));
+                let unions = found.q.iter_mut().zip(&mut found.ratio).zip(excess).take(found.searched);
+                for ((known, ratios), excess) in unions {
+                    let (known, ratios) = (known.row_mut(row), ratios.row_mut(row));
                     let (own, nearest, of_nearest) =
-                        (q.add(V::splat(excess[union])), V::load(known), V::load(ratios));
+                        (q.add(V::splat(excess)), V::load(known), V::load(ratios));
                     // Of two particles that are equally near, that with the smaller ratio counts, in any order.
                     let of_equal = V::select(nearest.lt(own), of_nearest, of_nearest.min(ratio));
                     V::select(own.lt(nearest), ratio, of_equal).store(ratios);
