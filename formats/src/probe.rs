@@ -530,6 +530,7 @@ mod tests {
                 ProbedKind::Foreign(TECPLOT),
             ),
             (b"FoamFile\n{ class Cloud; }\n1\n(\n(1 2 3) 0\n)\n", "positions", ProbedKind::Foreign(OPENFOAM)),
+            (abc::HDF5, "a.abc", ProbedKind::Format(Format::Abc)),
             (b"PK\x03\x04", "a.npz", ProbedKind::Format(Format::Npz)),
             (b"PK\x03\x04", "a.zip", ProbedKind::Foreign("ZIP archive")),
             (
