@@ -195,7 +195,7 @@ fn text<'a>(cursor: &mut Cursor<'a>, what: &str) -> Result<&'a str> {
 /// Each text takes at least the eight bytes of its length.
 fn texts(cursor: &mut Cursor, what: &str) -> Result<Vec<String>> {
     let count = length(cursor, what)?;
-    if count > cursor.remaining() / 4 {
+    if count > cursor.remaining() / 8 {
         let bytes = cursor.remaining();
         return Err(cursor.truncated(format!("expected {count} texts of {what}, found {bytes} bytes")));
     }

@@ -644,6 +644,7 @@ mod tests {
             (b"FoamFile\n{ format binary; }\n1\n(\0\x01)", "positions", ProbedKind::Foreign(OPENFOAM)),
             (b"<?xml version=\"1.0\" ?>\n<Xdmf Version=\"3.0\">", "a", ProbedKind::Format(Format::Xdmf)),
             (b"\x89HDF\r\n\x1a\n\0", "a", ProbedKind::Format(Format::Hdf5)),
+            (abc::HDF5, "a.abc", ProbedKind::Format(Format::Abc)),
             (b"PK\x03\x04", "a.npz", ProbedKind::Format(Format::Npz)),
             (b"PK\x03\x04", "a.zip", ProbedKind::Foreign("ZIP archive")),
             (

@@ -99,7 +99,7 @@ mod flags {
 
 /// The array of an attribute in a leaf, before its values.
 #[derive(Clone, Copy)]
-struct ArrayHeader {
+struct PointArray {
     byte_count: usize,
     flags: u8,
     stored: u8,
@@ -108,12 +108,12 @@ struct ArrayHeader {
     stride: usize,
 }
 
-impl ArrayHeader {
+impl PointArray {
     fn is(self, flag: u8) -> bool {
         self.stored & flag != 0
     }
 
-    fn read(cursor: &mut Cursor) -> Result<ArrayHeader> {
+    fn read(cursor: &mut Cursor) -> Result<PointArray> {
         const FIXED_BYTES: u64 = 6; // flags and size, which the number of bytes includes
         let length = cursor.u64("the size of an attribute")?;
         let (flags, stored) =
@@ -127,7 +127,7 @@ impl ArrayHeader {
         };
         let is_strided = stored & flags::STRIDED != 0;
         let stride = if is_strided { cursor.u32("the stride of an attribute")? as usize } else { 1 };
-        Ok(ArrayHeader { byte_count, flags, stored, count, stride })
+        Ok(PointArray { byte_count, flags, stored, count, stride })
     }
 }
 
@@ -242,7 +242,7 @@ fn unit_vector(word: u16) -> [f32; 3] {
 }
 
 /// The types, names and groups of the attributes of a grid.
-struct Descriptor {
+struct PointDescriptor {
     /// The names of the value type and of the codec.
     types: Vec<[String; 2]>,
     /// A name for each attribute, in the order of `types`; the file has another order.
@@ -254,8 +254,8 @@ struct Descriptor {
     string_places: HashMap<i64, i32>,
 }
 
-impl Descriptor {
-    fn read(cursor: &mut Cursor, limits: &Limits) -> Result<Descriptor> {
+impl PointDescriptor {
+    fn read(cursor: &mut Cursor, limits: &Limits) -> Result<PointDescriptor> {
         let count = |cursor: &mut Cursor, what: &str| -> Result<usize> {
             let count = cursor.u64(what)?;
             let found = usize::try_from(count).unwrap_or(usize::MAX);
@@ -292,12 +292,12 @@ impl Descriptor {
                 strings.push(text);
             }
         }
-        Ok(Descriptor { types, names, groups, strings, string_places })
+        Ok(PointDescriptor { types, names, groups, strings, string_places })
     }
 }
 
 /// A page of an attribute: the arrays of several leaves.
-struct Page {
+struct PointPage {
     /// Negative if the page is not compressed.
     stored: i32,
     byte_count: usize,
@@ -306,14 +306,14 @@ struct Page {
 /// A grid of points whose headers are read.
 struct PointGrid {
     origins: Vec<[i32; 3]>,
-    descriptor: Descriptor,
+    descriptor: PointDescriptor,
     codecs: Vec<Option<PointCodec>>,
     /// The arrays of each leaf, attribute by attribute.
-    arrays: Vec<ArrayHeader>,
+    arrays: Vec<PointArray>,
     /// The index of the attribute with the positions.
     position: usize,
     /// The pages of each attribute.
-    pages: Vec<Vec<Page>>,
+    pages: Vec<Vec<PointPage>>,
 }
 
 impl PointGrid {
@@ -331,7 +331,7 @@ impl PointGrid {
             let what = "the leaves have different attributes: save the points with the same attributes in all leaves";
             return Err(Error::unsupported(FORMAT, what));
         }
-        let descriptor = Descriptor::read(cursor, total.limits)?;
+        let descriptor = PointDescriptor::read(cursor, total.limits)?;
         if header & 2 != 0 {
             let length = cursor.u64("the size of an extension")?;
             cursor.take(usize::try_from(length).unwrap_or(usize::MAX), "an extension")?;
@@ -345,7 +345,7 @@ impl PointGrid {
         }
         let mut arrays = Vec::new();
         for _ in 0..origins.len() * attribute_count {
-            arrays.push(ArrayHeader::read(cursor)?);
+            arrays.push(PointArray::read(cursor)?);
         }
         let codecs: Vec<_> =
             descriptor.types.iter().map(|[value, codec]| PointCodec::of(value, codec)).collect();
@@ -359,7 +359,7 @@ impl PointGrid {
     }
 
     /// The arrays of an attribute, leaf by leaf.
-    fn arrays_of(&self, attribute: usize) -> impl Iterator<Item = &ArrayHeader> {
+    fn arrays_of(&self, attribute: usize) -> impl Iterator<Item = &PointArray> {
         self.arrays.iter().skip(attribute).step_by(self.codecs.len().max(1))
     }
 
@@ -407,7 +407,7 @@ impl PointGrid {
                         _ => stored.unsigned_abs(),
                     };
                     rest = byte_count as usize;
-                    pages.push(Page { stored, byte_count: rest });
+                    pages.push(PointPage { stored, byte_count: rest });
                 }
                 let Some(left) = rest.checked_sub(array.byte_count).filter(|_| array.byte_count > 0) else {
                     let what = format!("an array of {} bytes is in a page of {rest}", array.byte_count);
@@ -520,7 +520,7 @@ impl PointGrid {
         let stride = first.map_or(1, |array| array.stride);
         let is_hidden = first.is_some_and(|array| array.flags & flags::HIDDEN != 0);
         let (codec, [value_type, codec_type]) = (self.codecs[attribute], &self.descriptor.types[attribute]);
-        let is_regular = |array: &ArrayHeader| {
+        let is_regular = |array: &PointArray| {
             let has_stride = array.flags & flags::CONSTANT_STRIDE != 0 || !array.is(flags::STRIDED);
             has_stride && array.stride == stride && stride > 0
         };
@@ -571,7 +571,7 @@ impl PointGrid {
         &self,
         cursor: &Cursor,
         leaf: usize,
-        (array, bytes): (&ArrayHeader, &[u8]),
+        (array, bytes): (&PointArray, &[u8]),
         (attribute, codec): (usize, PointCodec),
     ) -> Result<Values> {
         let expected = self.arrays[leaf * self.codecs.len() + self.position].count;
@@ -595,7 +595,7 @@ impl PointGrid {
 }
 
 /// Reads an array that is not in a page.
-fn read_array(cursor: &mut Cursor, array: &ArrayHeader, codec: Option<PointCodec>) -> Result<Vec<u8>> {
+fn read_array(cursor: &mut Cursor, array: &PointArray, codec: Option<PointCodec>) -> Result<Vec<u8>> {
     let is_packed = !array.is(flags::UNIFORM) && cursor.u8("the compression of an attribute")? == 1;
     let at = cursor.at() as u64;
     let bytes = cursor.take(array.byte_count, "an attribute")?;
@@ -628,14 +628,14 @@ fn unpacked(frame: &[u8], byte_count: usize, at: u64) -> Result<Vec<u8>> {
 
 /// Takes the arrays of an attribute from its pages.
 struct ArrayPages<'a> {
-    pages: std::slice::Iter<'a, Page>,
+    pages: std::slice::Iter<'a, PointPage>,
     page: Vec<u8>,
     /// The bytes of the page that are not yet taken.
     rest: std::ops::Range<usize>,
 }
 
 impl ArrayPages<'_> {
-    fn next_array(&mut self, cursor: &mut Cursor, array: &ArrayHeader) -> Result<Vec<u8>> {
+    fn next_array(&mut self, cursor: &mut Cursor, array: &PointArray) -> Result<Vec<u8>> {
         if self.rest.is_empty()
             && let Some(page) = self.pages.next()
         {
