@@ -91,6 +91,7 @@ pub(crate) fn joined_parts(parts: Vec<ParticlePart>, kind: &str, notes: &mut Vec
         };
         let mut lost: Vec<NamedArray> = all.arrays.extract_if(.., |array| !has_more(array)).collect();
         lost.append(&mut more);
+        lost.sort_by(|one, other| one.name.cmp(&other.name));
         for NamedArray { name, .. } in lost {
             let note = format!("skipped the array `{}`: it is not the same in all {kind}", excerpt(&name));
             if !notes.contains(&note) {

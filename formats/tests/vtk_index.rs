@@ -27,7 +27,7 @@ fn piece(xs: &[f32], more: &[&str]) -> String {
          <Points><DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"ascii\">{}</DataArray></Points>\
          </Piece></PolyData></VTKFile>\n",
         xs.len(),
-        values(&|x| (x as i32).to_string()),
+        values(&|x| format!("{x:.0}")),
         more.iter().map(|name| array(name)).collect::<String>(),
         values(&|x| format!("{x} 0.5 -1")),
     )
@@ -106,7 +106,7 @@ fn files_of_a_time_become_a_frame() {
     let first = frame(&pvd, &files, 0).expect("two pieces");
     assert_eq!((xs(&first), names(&first)), (vec![0.0, 1.0, 2.0], vec!["id", "T"]));
     assert_eq!(first.attributes[0].values, Values::I32(vec![0, 1, 2]));
-    assert_eq!(first.notes, ["skipped the array `rho`: it is not the same in all pieces"]);
+    assert_eq!(first.notes, ["pscale", "rho"].map(|name| format!("skipped the array `{name}`: it is not the same in all pieces")));
     let second = frame(&pvd, &files, 1).expect("one piece");
     assert_eq!(xs(&second), [3.0]);
     assert_eq!(

@@ -176,9 +176,10 @@ impl FileInfo {
             if self.fill_large_sequence(path)? {
                 return Ok(());
             }
-            match has_container_frames(path) {
-                true => read_file(path).map_err(|error| reason(&error))?,
-                false => read_regular(path)?,
+            if has_container_frames(path) {
+                read_file(path).map_err(|error| reason(&error))?
+            } else {
+                read_regular(path)?
             }
         };
         self.time = time_of_frame(path);
