@@ -258,7 +258,7 @@ mod tests {
             for _ in 0..1 + state % 4 {
                 state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
                 let at = MAGIC.len() + (state >> 33) as usize % (bytes.len() - MAGIC.len());
-                damaged[at] = (state >> 20) as u8;
+                damaged[at] = (state >> 20).to_le_bytes()[0];
             }
             let _ = unpack(&damaged, &Limits::default());
         }

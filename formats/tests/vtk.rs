@@ -53,7 +53,7 @@ fn unusual_xml_is_read() {
     ));
     let frame = read(text.as_bytes(), "a.vtu");
     assert_eq!(frame.positions, FilePositions::F32(vec![[1.0, 2.0, 3.0]; 2]));
-    assert_eq!((frame.attributes.len(), frame.notes.len()), (0, 1), "{:?}", frame.notes);
+    assert_eq!((frame.attributes.len(), frame.notes.len()), (0, 2), "{:?}", frame.notes);
 
     let letters = ["DAAAAA==\nAACA\nPwAAAEAAAEBA", "DAAAAAAAgD8AAABA\n  AABAQA=="];
     for letters in letters {

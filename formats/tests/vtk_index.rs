@@ -106,7 +106,10 @@ fn files_of_a_time_become_a_frame() {
     let first = frame(&pvd, &files, 0).expect("two pieces");
     assert_eq!((xs(&first), names(&first)), (vec![0.0, 1.0, 2.0], vec!["id", "T"]));
     assert_eq!(first.attributes[0].values, Values::I32(vec![0, 1, 2]));
-    assert_eq!(first.notes, ["pscale", "rho"].map(|name| format!("skipped the array `{name}`: it is not the same in all pieces")));
+    assert_eq!(
+        first.notes,
+        ["pscale", "rho"].map(|name| format!("skipped the array `{name}`: it is not the same in all pieces"))
+    );
     let second = frame(&pvd, &files, 1).expect("one piece");
     assert_eq!(xs(&second), [3.0]);
     assert_eq!(
