@@ -161,7 +161,8 @@ fn moving_ball_scores_zero_in_every_format_by_ids_and_by_velocities() {
         }
     }
     let folder = scene(&[1.05; 3], ",id");
-    let formats = Format::ALL.into_iter().filter(|format| format.has_mesh());
+    // An archive has the same layers as the other files of USD.
+    let formats = Format::ALL.into_iter().filter(|format| format.has_mesh() && *format != Format::Usdz);
     for extension in formats.flat_map(Format::extensions) {
         for number in 1..=3 {
             let mesh = sphere(1.05, STEP * f64::from(number));

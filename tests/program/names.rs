@@ -243,9 +243,9 @@ fn neighbors_of_frames_are_skipped_in_folders_and_named_on_request() {
     let watched = names_in(&path.join("watched"));
     assert_eq!(watched.iter().filter(|name| name.ends_with(".obj")).count(), 2, "{watched:?}");
     for (name, words) in [
-        ("dam.pvd", "only lists other files"),
-        ("dam_1.pvtu", "only lists other files"),
-        ("dam.vtm", "only lists other files"),
+        ("dam.pvd", "it lists no files yet"),
+        ("dam_1.pvtu", "it lists no files yet"),
+        ("dam.vtm", "it lists no files yet"),
         ("run_boundingBox.vtk", "the type RECTILINEAR_GRID, which is not supported"),
         ("rb_data_0_1.vtk", "polygons, which are ignored"),
         ("mesh_00000.vtk", "polygons, which are ignored"),

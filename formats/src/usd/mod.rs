@@ -64,7 +64,9 @@ pub(crate) fn declares_mesh(head: &[u8]) -> bool {
         [b'#', ..] => contains(b"dictionary meniscus = {"),
         _ => head.get(88..).is_some_and(|rest| rest.starts_with(b"# ") || rest.starts_with(b"end_header\n")),
     };
-    is_ours || head.starts_with(b"#usda") && contains(b"def Mesh ") && !contains(b"def Points ")
+    // The layers of value clips are in other files.
+    let is_text = head.starts_with(b"#usda") && !contains(b"clips = {");
+    is_ours || is_text && contains(b"def Mesh ") && !contains(b"def Points ")
 }
 
 /// A property of a mesh that has time samples. A [stage](crate::usda::UsdStage) declares these properties.

@@ -1,4 +1,4 @@
-//! Reads meshes of any supported format, with the buffer files of a `.gltf`.
+//! Reads meshes of any supported format, with the buffer files of a `.gltf` and the layers of a USD file.
 
 use std::io::{self, Read};
 use std::path::Path;
@@ -8,6 +8,7 @@ use meniscus_formats::compression::{name_without_compression, read_head};
 use meniscus_formats::{Format, Limits, MeshData, gltf, looks_like_mesh, looks_like_particles, read_mesh};
 use twox_hash::XxHash3_128;
 
+use super::obstacle_file::may_have_buffers;
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::open::{open_regular, read_regular};
 use crate::pipeline::target::viewpoint::Viewpoint;
@@ -31,12 +32,15 @@ impl MeshFile {
         let fail = |error: meniscus_formats::Error| FrameError::file(path, Stage::Read, error);
         let bytes = read_regular(path).map_err(|error| fail(error.into()))?;
         let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let folder = path.parent().unwrap_or(Path::new(""));
         let read_external = |relative: &str| {
+            if !may_have_buffers(path) {
+                return read_regular(&folder.join(relative));
+            }
             let files = gltf::external_files(&bytes).map_err(io::Error::other)?;
             let file = files.iter().find(|file| file.path == relative).ok_or(io::ErrorKind::NotFound)?;
             let mut content = Vec::new();
-            let at = path.parent().unwrap_or(Path::new("")).join(relative);
-            open_regular(&at)?.take(file.byte_count).read_to_end(&mut content)?;
+            open_regular(&folder.join(relative))?.take(file.byte_count).read_to_end(&mut content)?;
             Ok(content)
         };
         let read = || read_mesh(&bytes, &name, &Limits::default(), &read_external);

@@ -527,7 +527,7 @@ impl Role {
         match self {
             Role::Velocity => &["velocity", "velocities", "vel", "v"],
             Role::Acceleration => &["acceleration", "accelerations", "accel"],
-            Role::Color => &["color", "colour", "colors", "colours", "cd", "rgb", "rgba"],
+            Role::Color => &["color", "colour", "colors", "colours", "cd", "rgb", "rgba", "displaycolor"],
             Role::Radius => &["radius", "pscale"],
             Role::Id => &["id"],
             Role::Other => &[],
