@@ -38,7 +38,9 @@ def tables_of(path):
         elif words[0] == "property":
             rows[element].append((words[2], PLY_TYPES[words[1]]))
     vertices = np.frombuffer(data, np.dtype(rows["vertex"]), counts["vertex"], end)
-    faces = np.frombuffer(data, np.dtype(rows["face"]), counts["face"], end + vertices.nbytes)
+    # Particles have no faces.
+    face = np.dtype(rows["face"] or [("count", "u1")])
+    faces = np.frombuffer(data, face, counts.get("face", 0), end + vertices.nbytes)
     if end + vertices.nbytes + faces.nbytes != len(data):
         raise ValueError(f"{path}: {len(data)} bytes, but its header says otherwise")
     if len(faces) and (faces["count"] != 3).any():
