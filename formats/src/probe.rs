@@ -16,7 +16,7 @@ use crate::json;
 use crate::neighbor::Neighbor;
 use crate::table::Format;
 use crate::text::{Lines, parse_number};
-use crate::usd::declares_mesh;
+use crate::usd::{declares_mesh, has_clips};
 use crate::vdb;
 use crate::vtk;
 use crate::xdmf::looks_like_xdmf;
@@ -117,7 +117,7 @@ pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
         ProbedKind::Format(Format::Json) => json::looks_like_particles,
         // The content of other archives is known only from their end.
         ProbedKind::Format(Format::Abc) => |head| !abc::is_own(head),
-        ProbedKind::Format(Format::Usda | Format::Usdc) => |head| !declares_mesh(head),
+        ProbedKind::Format(Format::Usda | Format::Usdc) => |head| !declares_mesh(head) && !has_clips(head),
         kind => return kind.format().is_some_and(Format::has_particles),
     };
     match Codec::of(head) {

@@ -106,10 +106,11 @@ def in_folder(settings, frame):
     folder.mkdir()
     for path in (settings, frame):
         shutil.copy(path, folder)
-    status, said, frames = convert([folder], out, "--particles-only", "--format", "ply")
+    status, said, _ = convert([folder], out, "--particles-only", "--format", "ply")
     faults = [f"exit status {status}: {said.strip()}"] if status else []
-    if sorted(frames) != [frame.name]:
-        faults.append(f"converted {sorted(frames)}")
+    frames = sorted(path.stem for path in out.glob("*.ply"))
+    if frames != [frame.stem]:
+        faults.append(f"converted {frames}")
     return f"{len(frames)} frame", faults
 
 

@@ -37,11 +37,13 @@ def data_is_there():
 
 
 def convert(inputs, out, *options):
-    """Runs `meniscus convert` and returns its exit status, its output, and its report by stem."""
+    """Runs `meniscus convert` and returns its exit status, its output, and its report by stem: empty for particles."""
     out.mkdir(parents=True, exist_ok=True)
     report = out / "report.json"
     report.unlink(missing_ok=True)
-    command = [PROGRAM, "convert", *inputs, "--out", out, "--report", report, *options]
+    command = [PROGRAM, "convert", *inputs, "--out", out, *options]
+    if "--particles-only" not in options:
+        command += ["--report", report]
     ran = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=1800)
     frames = {}
     if report.exists():

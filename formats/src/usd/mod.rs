@@ -64,9 +64,13 @@ pub(crate) fn declares_mesh(head: &[u8]) -> bool {
         [b'#', ..] => contains(b"dictionary meniscus = {"),
         _ => head.get(88..).is_some_and(|rest| rest.starts_with(b"# ") || rest.starts_with(b"end_header\n")),
     };
-    // The layers of value clips are in other files.
-    let is_text = head.starts_with(b"#usda") && !contains(b"clips = {");
-    is_ours || is_text && contains(b"def Mesh ") && !contains(b"def Points ")
+    !has_clips(head)
+        && (is_ours || head.starts_with(b"#usda") && contains(b"def Mesh ") && !contains(b"def Points "))
+}
+
+/// Whether a text has value clips, judged by its first bytes: what it shows is in other layers, which are not read.
+pub(crate) fn has_clips(head: &[u8]) -> bool {
+    head.starts_with(b"#usda") && head.windows(9).any(|part| part == b"clips = {")
 }
 
 /// A property of a mesh that has time samples. A [stage](crate::usda::UsdStage) declares these properties.

@@ -34,7 +34,7 @@ pub(crate) static PACKAGE_ROW: FormatRow = FormatRow {
     beginnings: &[b"PK\x03\x04"],
     particles: Some(READER),
     read_mesh: Some(super::mesh::read_alone),
-    ..FormatRow::new("USD package", &["usdz"])
+    ..FormatRow::new("USD", &["usdz"])
 };
 
 /// The frames of a stage.
