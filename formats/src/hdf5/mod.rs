@@ -10,7 +10,7 @@
 //!   /any/group/pos (N, 3), vel   or   x (N), y, z   or records          any other program
 //! ```
 //!
-//! A group has particles if its data sets have names by which [`crate::named_arrays`] finds a position. The
+//! A group has particles if its data sets have names by which `crate::named_arrays` finds a position. The
 //! groups nearest to the root are used. If they are several, one of them is the fluid, and a note names the
 //! others.
 //!
