@@ -116,12 +116,8 @@ fn level_sets_are_contoured() {
 }
 
 /// Volumes that must be refused: parts of names, and words of the reason.
-const REFUSED_VOLUMES: &[(&str, &str)] = &[
-    ("fog_tiles", "fog volume"),
-    ("points", "background 0"),
-    ("stream", "background 0"),
-    ("types_", "is not \"level set\""),
-];
+const REFUSED_VOLUMES: &[(&str, &str)] =
+    &[("fog_tiles", "fog volume"), ("stream", "background 0"), ("types_", "is not \"level set\"")];
 
 /// Files that must be refused: parts of paths, and words of the reason.
 const REFUSED: &[(&str, &str)] = &[

@@ -1,9 +1,11 @@
 //! Reads level sets from .vdb files, for pictures and surfaces.
 
+use std::io;
 use std::ops::RangeInclusive;
 use std::path::Path;
 
 use glam::{DVec3, IVec3};
+use meniscus_formats::compression::read_head;
 use meniscus_formats::vdb::{self, LevelSetData, Transform, VectorGridData};
 use meniscus_formats::{Error, Format, Limits, Position, Probe, ProbedKind, probe};
 use twox_hash::XxHash3_128;
@@ -16,6 +18,7 @@ use crate::surface::space::{INDEX_LIMIT, Lattice};
 
 use super::reading::read_file;
 use crate::pipeline::error::{FrameError, Stage};
+use crate::pipeline::files::open::open_regular;
 use crate::pipeline::target::outputs::OutputOptions;
 use crate::pipeline::target::picture::PictureScene;
 use crate::pipeline::warning::{InputWarning, Warning};
@@ -151,10 +154,24 @@ fn refuse_other_format(bytes: &[u8]) -> Result<(), Error> {
     Err(Error::unsupported("OpenVDB", what))
 }
 
-/// Whether a file is a level set, judged by its name.
+/// Whether a file is a level set, judged by its name. If it exists, its first bytes must not begin a grid of points.
 pub fn is_level_set(path: &Path) -> bool {
-    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("vdb"))
+    let is_named = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("vdb"));
+    is_named && !has_points(path).unwrap_or(false)
 }
+
+/// Whether a file has particles instead of a level set.
+fn has_points(path: &Path) -> io::Result<bool> {
+    if !path.metadata()?.is_file() {
+        return Ok(false);
+    }
+    let head = read_head(open_regular(path)?, HEAD_BYTES)?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    Ok(probe(&head, &name).kind == ProbedKind::Format(Format::VdbPoints))
+}
+
+/// More bytes than the header of a file and of its first grid.
+const HEAD_BYTES: u64 = 8 << 10;
 
 /// A warning about a file with several grids, of which only one is read.
 pub(crate) fn other_grids(bytes: &[u8]) -> Option<Warning> {
