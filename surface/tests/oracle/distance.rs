@@ -25,9 +25,12 @@ pub(super) fn rasterized(positions: &[DVec3], radii: Radii) -> LevelSet {
     let grid = Grid::around(positions);
     let nearest = nearest_distances(&grid, positions, max + 2.0);
     let union = |radius| signed_distance(&grid, &nearest, radius, half_width);
-    let (phi, mut lower, upper) = (union(init), union(max), union(min));
-    for (lower, upper) in lower.iter_mut().zip(&upper) {
-        *lower = lower.min(*upper);
+    let (phi, mut lower, mut upper) = (union(init), union(max), union(min));
+    // Bounds are open where they are farther than this from their zero sets.
+    const REACH: f64 = 1.5;
+    for (lower, upper) in lower.iter_mut().zip(&mut upper) {
+        *upper = if *upper > REACH { half_width } else { upper.max(-REACH) };
+        *lower = if *lower < -REACH { -half_width } else { lower.min(REACH) }.min(*upper);
     }
     let mut level_set = LevelSet { grid, phi, lower, upper, half_width };
     level_set.clamp();
