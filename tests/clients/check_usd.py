@@ -131,7 +131,7 @@ def expected_positions(path):
 
 def compared(path):
     out, faults = FILES / "out" / path.name, []
-    status, text, _ = convert([path], out, "--particles-only", "--format", "ply", "--attributes", "all")
+    status, text, _ = convert([path], out, "--particles-only", "--format", "ply")
     if status != 0:
         return "could not be converted", [text]
     written = sorted(out.glob("*.ply"))
