@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::bin::ParticleBins;
 use super::culling::Culling;
 use super::ellipsoid::{BallShape, EllipsoidShape, Primitives};
-use super::{Radii, keep, sweep_count};
+use super::{Radii, keep, keep_in_place, sweep_count};
 use crate::grid::{
     Field, LEAF_EDGE, LEAVES_PER_TASK, Leaf, LeafMask, NO_LEAF, ROW_COUNT, SetBits, Topology,
     leaf_steps_within,
@@ -69,47 +69,70 @@ impl<'a> DistanceSolver<'a> {
 
     /// The distances in these leaves.
     pub(super) fn distances(&self, leaves: &Topology, culling: &Culling) -> SphereDistances {
+        let (count, is_exact_outside) = match self {
+            DistanceSolver::Centers(..) => (1, true),
+            DistanceSolver::Balls(_) => (3, true),
+            DistanceSolver::Ellipsoids(_) => (3, false),
+        };
+        // With room for further leaves, which takes no memory until they are written.
+        let field = |_| Field { leaves: Vec::with_capacity(2 * leaves.len()) };
+        let mut distances = SphereDistances { fields: (0..count).map(field).collect(), is_exact_outside };
+        self.append(&mut distances, leaves, culling);
+        distances
+    }
+
+    /// Appends the distances in these leaves.
+    fn append(&self, distances: &mut SphereDistances, leaves: &Topology, culling: &Culling) {
         let settled = |origin| culling.settled(origin);
+        let fields = &mut distances.fields;
         match self {
-            DistanceSolver::Centers(packets, reach) => SphereDistances {
-                fields: vec![nearest_distances(packets, leaves, *reach, settled)],
-                is_exact_outside: true,
-            },
-            DistanceSolver::Balls(primitives) => SphereDistances {
-                fields: primitives.distances(leaves, settled).into(),
-                is_exact_outside: true,
-            },
-            DistanceSolver::Ellipsoids(primitives) => SphereDistances {
-                fields: primitives.distances(leaves, settled).into(),
-                is_exact_outside: false,
-            },
+            DistanceSolver::Centers(packets, reach) => {
+                append_nearest_distances(&mut fields[0], packets, leaves, *reach, settled);
+            }
+            DistanceSolver::Balls(primitives) => primitives.append_distances(fields, leaves, settled),
+            DistanceSolver::Ellipsoids(primitives) => primitives.append_distances(fields, leaves, settled),
         }
     }
 
-    /// The distances in these leaves, some of which are `known`, and a field whose memory is not used any more.
+    /// The distances in these leaves, some of which are `known`. No field exists twice meanwhile.
     pub(super) fn extended(
         &self,
         known: (&Topology, SphereDistances),
         leaves: &Topology,
         culling: &Culling,
-    ) -> (SphereDistances, Field) {
-        let (known_leaves, mut known) = known;
-        let is_new = |origin: &&IVec3| known_leaves.find(**origin).is_none();
+    ) -> SphereDistances {
+        let (known_leaves, mut distances) = known;
+        let known_leaf = |&origin: &IVec3| known_leaves.find(origin);
+        let kept: Vec<usize> = leaves.origins().iter().filter_map(known_leaf).collect();
+        distances.fields.par_iter_mut().halved().for_each(|field| keep_in_place(field, &kept));
+        let is_new = |origin: &&IVec3| known_leaf(origin).is_none();
         let new_leaves = Topology::new(leaves.origins().iter().filter(is_new).copied().collect());
-        let new = self.distances(&new_leaves, culling);
-        // One field after the other, so that only one of them exists twice, each in the memory of the one before.
-        let mut spare = Field::default();
-        for (known, new) in known.fields.iter_mut().zip(new.fields) {
-            let leaf = |&origin: &IVec3| match (known_leaves.find(origin), new_leaves.find(origin)) {
-                (Some(leaf), _) => known.leaves[leaf],
-                (None, Some(leaf)) => new.leaves[leaf],
-                (None, None) => unreachable!("every leaf is known or new"),
-            };
-            spare.leaves.clear();
-            spare.leaves.par_extend(leaves.origins().par_iter().halved().map(leaf));
-            std::mem::swap(known, &mut spare);
+        self.append(&mut distances, &new_leaves, culling);
+        // Topologies have one order, so each of the two parts is in the order of `leaves`.
+        let mut next = [0, kept.len()];
+        let place = |origin: &IVec3| {
+            let next = &mut next[usize::from(known_leaf(origin).is_none())];
+            *next += 1;
+            *next - 1
+        };
+        let places: Vec<usize> = leaves.origins().iter().map(place).collect();
+        distances.fields.par_iter_mut().halved().for_each(|field| reorder(&mut field.leaves, &places));
+        distances
+    }
+}
+
+/// Puts the leaf that is at `places[i]` at `i`, for all i.
+fn reorder(leaves: &mut [Leaf], places: &[usize]) {
+    let mut is_done = vec![false; places.len()];
+    for start in 0..places.len() {
+        let (first, mut to) = (leaves[start], start);
+        // Each cycle of moves ends where it began.
+        while !is_done[to] {
+            is_done[to] = true;
+            let from = places[to];
+            leaves[to] = if from == start { first } else { leaves[from] };
+            to = from;
         }
-        (known, spare)
     }
 }
 
@@ -152,10 +175,10 @@ impl SphereDistances {
         self.field(sphere).leaves.par_iter().halved().map(below).collect()
     }
 
-    /// Keeps only these leaves, in order.
+    /// Keeps only these leaves, in ascending order.
     pub(super) fn keep(&mut self, kept: &[usize]) {
         // Fields that were taken are empty.
-        let fields = self.fields.par_iter_mut().halved().filter(|field| !field.leaves.is_empty());
+        let fields = self.fields.iter_mut().filter(|field| !field.leaves.is_empty());
         fields.for_each(|field| keep(field, kept));
     }
 }
@@ -175,14 +198,15 @@ impl SphereDistances {
 /// Distance value of voxels without a particle within reach.
 pub(super) const OUT_OF_REACH: f32 = f32::INFINITY;
 
-/// Distances in voxels to the nearest particle, in these leaves: [`OUT_OF_REACH`] for voxels farther than
-/// `reach`, and 0 for `settled` voxels.
-fn nearest_distances<'a>(
+/// Appends the distances in voxels to the nearest particle in these leaves: [`OUT_OF_REACH`] for voxels farther
+/// than `reach`, and 0 for `settled` voxels.
+fn append_nearest_distances<'a>(
+    field: &mut Field,
     packets: &ParticlePackets,
     leaves: &Topology,
     reach: f32,
     settled: impl Fn(IVec3) -> &'a LeafMask + Sync,
-) -> Field {
+) {
     let steps = leaf_steps_within(reach);
     let nearest = |&origin: &IVec3| {
         let in_leaf = |&step: &IVec3| Some((step.as_vec3(), packets.in_leaf(origin + step)?));
@@ -193,9 +217,8 @@ fn nearest_distances<'a>(
             settled: settled(origin),
         })
     };
-    Field {
-        leaves: leaves.origins().par_iter().with_max_len(LEAVES_PER_TASK).halved().map(nearest).collect(),
-    }
+    let leaves = leaves.origins().par_iter().with_max_len(LEAVES_PER_TASK).halved().map(nearest);
+    field.leaves.par_extend(leaves);
 }
 
 /// Eight particles of a leaf: x, y and z, relative to its origin. Unused lanes are infinite.

@@ -177,13 +177,14 @@ impl<F: ParticleShape> Primitives<F> {
         Primitives { classes: numbers.iter().map(class).collect(), unions }
     }
 
-    /// The signed distances to the three unions in these leaves, in the order of the radii. Deep inside, and
-    /// at `settled` voxels, the value is some number below −1.
-    pub(super) fn distances<'a>(
+    /// Appends the signed distances to the three unions in these leaves to three fields, in the order of the
+    /// radii. Deep inside, and at `settled` voxels, the value is some number below −1.
+    pub(super) fn append_distances<'a>(
         &self,
+        fields: &mut [Field],
         leaves: &Topology,
         settled: impl Fn(IVec3) -> &'a LeafMask + Sync,
-    ) -> [Field; 3] {
+    ) {
         let of_leaf = |&origin: &IVec3| {
             let (around, mut distances) = (self.around(origin), [Leaf::splat(0.0); 3]);
             let (unions, settled) = (&self.unions, settled(origin));
@@ -191,12 +192,11 @@ impl<F: ParticleShape> Primitives<F> {
             let [max, init, min] = distances;
             (max, (init, min))
         };
-        // With room for further leaves, which takes no memory until they are written.
-        let [max, init, min] = [(); 3].map(|()| Vec::with_capacity(2 * leaves.len()));
-        let mut fields = (max, (init, min));
-        fields.par_extend(leaves.origins().par_iter().with_max_len(LEAVES_PER_TASK).map(of_leaf));
-        let (max, (init, min)) = fields;
-        [max, init, min].map(|leaves| Field { leaves })
+        let [max, init, min] = std::array::from_fn(|union| std::mem::take(&mut fields[union].leaves));
+        let mut appended = (max, (init, min));
+        appended.par_extend(leaves.origins().par_iter().with_max_len(LEAVES_PER_TASK).map(of_leaf));
+        let (max, (init, min)) = appended;
+        fields.iter_mut().zip([max, init, min]).for_each(|(field, leaves)| field.leaves = leaves);
     }
 
     /// The particles that can lower a value in a leaf.

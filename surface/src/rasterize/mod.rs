@@ -266,8 +266,6 @@ struct NearDistances {
     bins: ParticleBins,
     topology: Topology,
     distances: SphereDistances,
-    /// Memory for the sweeps: a field with arbitrary content.
-    scratch: Field,
 }
 
 fn measure(
@@ -281,8 +279,8 @@ fn measure(
     let solver = DistanceSolver::new(&bins, scene.radii);
     let near = solver.distances(&culling.near, &culling);
     let topology = Topology::new(leaves_near_surface(&culling, &near, scene, regions));
-    let (distances, scratch) = solver.extended((&culling.near, near), &topology, &culling);
-    Ok(NearDistances { bins, topology, distances, scratch })
+    let distances = solver.extended((&culling.near, near), &topology, &culling);
+    Ok(NearDistances { bins, topology, distances })
 }
 
 /// Origins of the leaves near the surface: those with a voxel within the band's margin, per axis, of a voxel
@@ -348,8 +346,10 @@ fn remove_obstacle(inside: &mut LeafMask, obstacle: &ObstacleLeaf) {
 
 /// φ_0 and the bounds, on the leaves with a value of φ_0 within the half width.
 fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) -> RasterFields {
-    let NearDistances { bins, topology, mut distances, mut scratch } = measured;
+    let NearDistances { bins, topology, mut distances } = measured;
     let radii = scene.radii;
+    // Memory for the sweeps.
+    let mut scratch = Field::default();
     let half_width = radii.half_width();
     let mut phi =
         signed_distance(&topology, &mut distances, SphereUnion::Init, radii, half_width, &mut scratch);
@@ -367,14 +367,15 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     if topology.len() - kept.len() > WASTED_LEAVES_MAX {
         scratch = Field::default();
     }
-    rayon::join(|| keep(&mut phi, &kept), || distances.keep(&kept));
+    // One after the other, so that only one of them exists twice for a moment.
+    keep(&mut phi, &kept);
+    distances.keep(&kept);
     let topology = subset(topology, &kept);
     let [mut lower, mut upper] = [SphereUnion::Max, SphereUnion::Min]
         .map(|sphere| signed_distance(&topology, &mut distances, sphere, radii, BOUND_REACH, &mut scratch));
     drop((distances, scratch));
     let own: Vec<usize> =
         (0..topology.len()).filter(|&leaf| regions.own.contains(topology.origins()[leaf])).collect();
-    // One after the other, so that only one of them exists twice for a moment.
     [&mut phi, &mut lower, &mut upper].into_iter().for_each(|field| keep(field, &own));
     let topology = Arc::new(subset(topology, &own));
     let mut band = NarrowBand { topology, phi, half_width };
@@ -411,25 +412,22 @@ fn has_value_within(phi: &Leaf, half_width: f32, obstacle: &ObstacleLeaf) -> boo
     }
 }
 
-/// Keeps only these leaves of a field, in order.
+/// Keeps only these leaves of a field, in ascending order. A field that loses few leaves keeps its memory,
+/// because the system takes longer to provide new memory.
 fn keep(field: &mut Field, kept: &[usize]) {
-    if kept.len() == field.leaves.len() {
-        return;
-    }
-    if wastes_memory(field.leaves.len(), kept.len()) {
+    if field.leaves.len() - kept.len() > (field.leaves.len() / 4).min(WASTED_LEAVES_MAX) {
         field.leaves = kept.par_iter().halved().map(|&leaf| field.leaves[leaf]).collect();
-        return;
+    } else {
+        keep_in_place(field, kept);
     }
-    for (to, &from) in kept.iter().enumerate() {
-        field.leaves.copy_within(from..from + 1, to);
-    }
-    field.leaves.truncate(kept.len());
 }
 
-/// Whether a field with memory for `count` leaves is too large for `kept_count` leaves. A field that loses few
-/// leaves keeps its memory, because the system takes longer to provide new memory.
-fn wastes_memory(count: usize, kept_count: usize) -> bool {
-    count - kept_count > (count / 8).min(WASTED_LEAVES_MAX)
+/// Like [`keep`], always in the same memory.
+fn keep_in_place(field: &mut Field, kept: &[usize]) {
+    if kept.len() < field.leaves.len() {
+        kept.iter().enumerate().for_each(|(to, &from)| field.leaves.copy_within(from..from + 1, to));
+        field.leaves.truncate(kept.len());
+    }
 }
 
 /// Number of leaves per field whose memory may stay unused: 2 MiB.
