@@ -630,7 +630,7 @@ fn animated(bodies: &[(i64, Body)]) -> String {
 fn animated_obstacle_has_a_sample_for_each_frame() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
-    let corner = |number: i64| DVec3::new(0.5 + 0.125 * number as f64, 0.125, 0.125);
+    let corner = |number: i64| DVec3::new(0.25 + 0.0625 * number as f64, 0.125, 0.125);
     let body = |number: i64| cuboid(corner(number), corner(number) + 0.25);
     for number in 1..=4 {
         write_ply(&path.join(format!("dam.{number}.ply")), &block(6, 0.0));
@@ -653,7 +653,7 @@ fn animated_obstacle_has_a_sample_for_each_frame() {
     assert!((1..=4).all(|number| vdb("o", number) == vdb("p", number)));
     assert!(vdb("o", 2) != vdb("o", 3));
     // A longer animation changes only the frames whose meshes it changes.
-    let longer = animated(&[(2, body(2)), (3, body(3)), (4, body(5)), (5, body(6))]);
+    let longer = animated(&[(2, body(2)), (3, body(3)), (4, body(1)), (5, body(2))]);
     fs::write(path.join("body.usda"), longer).expect("written");
     let before = vdb("o", 4);
     assert_eq!(run("body.usda", "o"), 3);
