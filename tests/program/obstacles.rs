@@ -674,7 +674,7 @@ fn animated_obstacle_has_a_sample_for_each_frame() {
     let missing =
         convert(path, &["dam.1.ply", "--voxel-size", "0.05", "--out", "o", "--obstacle", "root.usda"]);
     assert!(
-        missing.status == 1 && missing.err.contains("refers to the layer ./layer.usda"),
+        missing.status == 1 && missing.err.contains("refers to the layer layer.usda"),
         "{}",
         missing.err
     );
