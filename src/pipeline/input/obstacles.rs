@@ -34,9 +34,12 @@ pub struct ObstacleFiles {
     paths: Vec<PathBuf>,
     /// The loaded obstacles that do not move, by their paths.
     loaded: Mutex<HashMap<PathBuf, LoadedObstacle>>,
-    /// The further files of each obstacle, and the stamps of all its files when they were found.
-    further: Mutex<HashMap<PathBuf, (Vec<Option<FileStamp>>, Vec<PathBuf>)>>,
+    /// The files of each obstacle that may have several, its own first.
+    further: Mutex<HashMap<PathBuf, StampedFiles>>,
 }
+
+/// Files, and their stamps when they were found.
+type StampedFiles = Vec<(PathBuf, Option<FileStamp>)>;
 
 /// The state of a frame's obstacle files at one time.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -241,17 +244,17 @@ impl ObstacleFiles {
         if !may_have_further_files(path) {
             return Vec::new();
         }
-        let stamps = |further: &[PathBuf]| -> Vec<Option<FileStamp>> {
-            let files = further.iter().map(PathBuf::as_path).chain([path]);
-            files.map(|file| FileStamp::of_path(file).ok()).collect()
-        };
+        let stamp_of = |file: &Path| FileStamp::of_path(file).ok();
         let known = lock(&self.further).get(path).cloned();
-        if let Some((_, files)) = known.filter(|(known, files)| stamps(files) == *known) {
-            return files;
-        }
-        let files = further_files(path);
-        lock(&self.further).insert(path.to_owned(), (stamps(&files), files.clone()));
-        files
+        let is_current = |known: &StampedFiles| known.iter().all(|(file, stamp)| stamp_of(file) == *stamp);
+        let files = known.filter(is_current).unwrap_or_else(|| {
+            let own = (path.to_owned(), stamp_of(path));
+            let further = further_files(path).into_iter().map(|file| (file.clone(), stamp_of(&file)));
+            let files: StampedFiles = [own].into_iter().chain(further).collect();
+            lock(&self.further).insert(path.to_owned(), files.clone());
+            files
+        });
+        files.into_iter().skip(1).map(|(file, _)| file).collect()
     }
 }
 
