@@ -673,13 +673,13 @@ fn animated_obstacle_has_a_sample_for_each_frame() {
     fs::remove_file(path.join("layer.usda")).expect("removed");
     let missing =
         convert(path, &["dam.1.ply", "--voxel-size", "0.05", "--out", "o", "--obstacle", "root.usda"]);
-    assert!(missing.status == 1 && missing.err.contains("refers to the layer layer.usda"), "{}", missing.err);
+    assert!(missing.status != 0 && missing.err.contains("refers to the layer layer.usda"), "{}", missing.err);
     // A frame without a number has no sample.
     fs::write(path.join("dam.ply"), fs::read(path.join("dam.1.ply")).expect("read")).expect("written");
     let unnumbered =
         convert(path, &["dam.ply", "--voxel-size", "0.05", "--out", "o", "--obstacle", "body.usda"]);
     assert!(
-        unnumbered.status == 1 && unnumbered.err.contains("the frame has no number"),
+        unnumbered.status != 0 && unnumbered.err.contains("the frame has no number"),
         "{}",
         unnumbered.err
     );
