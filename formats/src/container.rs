@@ -16,7 +16,7 @@
 use std::io;
 
 use crate::batches::{ReadAt, read};
-use crate::data::ParticleFrame;
+use crate::data::{MeshData, ParticleFrame};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::packed::pack;
@@ -58,6 +58,16 @@ pub(crate) struct ContainerReader {
     /// The files that each frame is read from, if these are other files than the container: their paths
     /// relative to its folder.
     pub(crate) files: Option<FilesOfFrames>,
+    /// How the meshes are read, if files of this kind can have meshes, too.
+    pub(crate) meshes: Option<SceneMeshReader>,
+}
+
+/// How the meshes of a scene are read.
+pub(crate) struct SceneMeshReader {
+    /// Whether they change with the time.
+    pub(crate) are_animated: fn(&ContainerFile, &Limits) -> Result<bool>,
+    /// Reads all of them as they are in the frame with a number; the first samples without a number.
+    pub(crate) read: fn(&ContainerFile, Option<i64>, &Limits) -> Result<MeshData>,
 }
 
 /// Finds the files that each frame is read from.
@@ -101,6 +111,37 @@ pub fn packed(kind: ProbedKind, container: &ContainerFile, index: usize, limits:
     Ok(pack(format, &(reader.read)(container, index, limits)?))
 }
 
+/// Whether the meshes in a file of this kind change with the time; `None` for kinds without scenes.
+///
+/// # Errors
+/// Those of the format's reader: [`Error::Unsupported`] for a scene without meshes, for example.
+pub fn are_meshes_animated(
+    kind: ProbedKind,
+    container: &ContainerFile,
+    limits: &Limits,
+) -> Result<Option<bool>> {
+    let meshes = reader_of(kind).and_then(|(_, reader)| reader.meshes.as_ref());
+    meshes.map(|meshes| (meshes.are_animated)(container, limits)).transpose()
+}
+
+/// The meshes of a scene, as they are in the frame with this number: at this time code of USD, or at the sample
+/// of Alembic that has this number at the frame rate of the samples. Between samples and beyond them, the values
+/// are those that the format defines. Without a number, the first samples are read.
+///
+/// # Errors
+/// As [`are_meshes_animated`]; [`Error::Unsupported`] if the times of samples are not whole frames.
+pub fn scene_mesh(
+    kind: ProbedKind,
+    container: &ContainerFile,
+    number: Option<i64>,
+    limits: &Limits,
+) -> Result<MeshData> {
+    match reader_of(kind).and_then(|(_, reader)| reader.meshes.as_ref()) {
+        Some(meshes) => (meshes.read)(container, number, limits),
+        None => Err(Error::unsupported(kind.name(), "not a scene")),
+    }
+}
+
 fn reader_of(kind: ProbedKind) -> Option<(Format, &'static ContainerReader)> {
     let format = kind.format()?;
     match &format.row().particles.as_ref()?.read {
@@ -115,7 +156,7 @@ impl ContainerReader {
         samples: fn(&ContainerFile, &Limits) -> Result<Vec<Sample>>,
         read: fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame>,
     ) -> ContainerReader {
-        ContainerReader { samples, read, files: None }
+        ContainerReader { samples, read, files: None, meshes: None }
     }
 
     /// Reads the only frame of a container in memory that names no other file.

@@ -35,7 +35,10 @@ pub(crate) fn check_numbers<'a>(
 /// shorter than the intervals at which programs evaluate a scene. It is long enough for programs that take
 /// the nearest sample at a rounded frame rate: with 23.976 instead of 24000/1001 frames per second, frame
 /// 5,000 is 1/200 of a frame late.
-const LAST_MOMENT: f64 = 1.0 / 64.0;
+const LAST_MOMENT: f64 = 1.0 / MOMENTS as f64;
+
+/// How many of these make a frame.
+pub(crate) const MOMENTS: i64 = 64;
 
 /// The times, in frames, at which the frame with this number needs a sample, if programs interpolate between
 /// it and the frame with the number `next`: its own, and the last moment before the next frame. Programs

@@ -6,8 +6,8 @@ use std::io::{self, Cursor, Read, Seek, SeekFrom};
 
 use meniscus_formats::gltf::{self, GlbFrame, SequenceFrame, UpAxis};
 use meniscus_formats::{
-    AttributeRole, Error, FileAttribute, Limits, MeshData, MeshOptions, MeshView, OutputFormat, Values,
-    VertexAttribute, VertexValues, abc, usda, usdc,
+    AttributeRole, ContainerFile, Error, FileAttribute, Format, Limits, MeshData, MeshOptions, MeshView,
+    OpenFurther, OutputFormat, ProbedKind, Values, VertexAttribute, VertexValues, abc, container, usda, usdc,
 };
 
 /// A pyramid over a polygon, and the options for writing it.
@@ -205,6 +205,13 @@ fn abc_sequence_has_a_sample_per_frame() {
             assert!(apart.into_iter().all(|(a, b)| (a - b).abs() < MOVED_ROUNDING), "{number}");
         }
         assert!(matches!(abc::read_sample(&bytes, 5, &limits), Err(Error::Invalid { .. })));
+        let open: &OpenFurther = &|_| Err(io::ErrorKind::NotFound.into());
+        let (kind, file) =
+            (ProbedKind::Format(Format::Abc), ContainerFile { file: &&*bytes, name: "", open });
+        for (number, index) in [(4, 0), (5, 0), (6, 1), (7, 1), (8, 1), (9, 3), (10, 4), (99, 4)] {
+            let mesh = container::scene_mesh(kind, &file, Some(number), &limits).expect("a mesh");
+            assert_eq!(mesh, abc::read_sample(&bytes, index, &limits).expect("a mesh"), "{number}");
+        }
         let (info, _) = abc::read_sequence_info(&mut Cursor::new(&bytes)).expect("read").expect("a sequence");
         let counts = frames().iter().map(|frame| u64::from(frame.sides)).sum::<u64>();
         assert_eq!((info.frames, info.vertices, info.triangles), (4, counts + 3, counts));

@@ -143,11 +143,10 @@ def compared(path):
         found = np.stack([vertices[axis].astype(float) for axis in "xyz"], axis=1)
         if found.shape != positions.shape or abs(found - positions).max() > 1e-4:
             faults.append(f"{ply.name}: its positions are not those at the time code {code}")
-    if path.suffix != ".usdz" and len(frames) == 1:
-        shown = subprocess.run([PROGRAM, "info", "--json", path], capture_output=True, text=True, timeout=600)
-        for name in ("velocities", "widths", "ids", "half", "double", "few", "int", "word"):
-            if f'"{name}"' not in shown.stdout:
-                faults.append(f"info does not show {name}")
+    shown = subprocess.run([PROGRAM, "info", "--json", path], capture_output=True, text=True, timeout=600)
+    for name in ("velocities", "widths", "ids", "half", "double", "few", "int", "word"):
+        if shown.stdout.count(f'"{name}"') != len(frames):
+            faults.append(f"info does not show {name} of each frame")
     return f"{len(frames)} frames of {len(next(iter(frames.values())))} particles", faults
 
 

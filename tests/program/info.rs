@@ -132,6 +132,37 @@ fn each_step_is_described() {
     assert_eq!(meniscus(folder.path(), &["info", "d.dump/step=200"]).status, 0);
 }
 
+/// Particles of other programs in files that may also be meshes of this one.
+#[test]
+fn points_of_scenes_are_described() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let points = |values: &str| format!("def Points \"p\" {{ {values} float[] widths = [0.5, 0.5] }}\n");
+    let still = points("point3f[] points = [(0, 0, 0), (1, 2, 3)]");
+    let moving =
+        points("point3f[] points.timeSamples = { 1: [(0, 0, 0), (1, 2, 3)], 2: [(0, 0, 0), (2, 2, 3)] }");
+    let mesh = "def Mesh \"m\" { point3f[] points = [(0, 0, 0), (9, 0, 0), (0, 9, 0)] }\n";
+    fs::write(path.join("still.usda"), format!("#usda 1.0\n{still}{mesh}")).expect("written");
+    fs::write(path.join("moving.usda"), format!("#usda 1.0\n{moving}")).expect("written");
+    let archive = include_bytes!("../fuzz/corpus/abc/points.abc");
+    fs::write(path.join("points.abc"), archive).expect("written");
+    let info = |name: &str| -> Value {
+        let result = meniscus(path, &["info", "--json", name]);
+        assert_eq!(result.status, 0, "{}", result.err);
+        serde_json::from_str(&result.out).expect("JSON")
+    };
+    let json = info("still.usda");
+    let particles = &json[0]["particles"];
+    assert_eq!((&particles["count"], json.as_array().map(Vec::len)), (&2.into(), Some(1)), "{json}");
+    assert_eq!(particles["bounds"]["max"], serde_json::json!([1.0, 2.0, 3.0]), "{json}");
+    assert!(particles["attributes"][0]["name"] == "widths" && json[0]["mesh"].is_null(), "{json}");
+    for (name, steps) in [("moving.usda", 2), ("points.abc", 3)] {
+        let json = info(name);
+        assert_eq!(json.as_array().map(Vec::len), Some(steps), "{json}");
+        assert!(!json[steps - 1]["particles"]["attributes"][0]["name"].is_null(), "{json}");
+    }
+}
+
 #[test]
 fn meshes_are_described() {
     let folder = tempdir().expect("a folder");

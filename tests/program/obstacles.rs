@@ -610,6 +610,81 @@ fn moving_obstacle_has_a_file_for_each_frame() {
     assert_eq!(broken.out.matches("done already").count(), 2, "{}", broken.out);
 }
 
+/// A stage with bodies at time codes.
+fn animated(bodies: &[(i64, Body)]) -> String {
+    let samples = bodies.iter().fold(String::new(), |mut text, (code, body)| {
+        let points: Vec<String> = body.positions.iter().map(|[x, y, z]| format!("({x}, {y}, {z})")).collect();
+        write!(text, "{code}: [{}], ", points.join(", ")).expect("strings take everything");
+        text
+    });
+    let triangles = &bodies[0].1.triangles;
+    format!(
+        "#usda 1.0\ndef Mesh \"body\" {{ point3f[] points.timeSamples = {{ {samples} }} int[] faceVertexCounts = {:?} \
+         int[] faceVertexIndices = {:?} }}\n",
+        vec![3; triangles.len()],
+        triangles.as_flattened()
+    )
+}
+
+#[test]
+fn animated_obstacle_has_a_sample_for_each_frame() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let corner = |number: i64| DVec3::new(0.25 + 0.0625 * number as f64, 0.125, 0.125);
+    let body = |number: i64| cuboid(corner(number), corner(number) + 0.25);
+    for number in 1..=4 {
+        write_ply(&path.join(format!("dam.{number}.ply")), &block(6, 0.0));
+        fs::write(path.join(format!("body.{number:04}.obj")), body(number.clamp(2, 3)).obj())
+            .expect("written");
+    }
+    let run = |obstacle: &str, out: &str| {
+        let arguments = ["dam.#.ply", "--voxel-size", "0.05", "--format", "vdb", "--skip-done"];
+        let result = convert(path, &[&arguments[..], &["--obstacle", obstacle, "--out", out]].concat());
+        assert_eq!(result.status, 0, "{}", result.err);
+        result.out.matches("done already").count()
+    };
+    let vdb = |out: &str, number: i64| {
+        let bytes = fs::read(path.join(format!("{out}/dam.{number}.vdb"))).expect("readable");
+        meniscus_formats::vdb::read_level_set(&bytes, None, &Default::default()).expect("a level set").leaves
+    };
+    // The first and the last sample hold.
+    fs::write(path.join("body.usda"), animated(&[(2, body(2)), (3, body(3))])).expect("written");
+    assert_eq!((run("body.usda", "o"), run("body.####.obj", "p")), (0, 0));
+    assert!((1..=4).all(|number| vdb("o", number) == vdb("p", number)));
+    assert!(vdb("o", 2) != vdb("o", 3));
+    // A longer animation changes only the frames whose meshes it changes.
+    let longer = animated(&[(2, body(2)), (3, body(3)), (4, body(1)), (5, body(2))]);
+    fs::write(path.join("body.usda"), longer).expect("written");
+    let before = vdb("o", 4);
+    assert_eq!(run("body.usda", "o"), 3);
+    assert!(vdb("o", 4) != before);
+    // The layers of a stage belong to the obstacle, with and without an animation.
+    for still in [false, true] {
+        let root = "#usda 1.0\n( subLayers = [@./layer.usda@] )\n";
+        fs::write(path.join("root.usda"), root).expect("written");
+        let bodies =
+            |number: i64| if still { vec![(1, body(number))] } else { vec![(1, body(1)), (2, body(number))] };
+        let out = if still { "still" } else { "moving" };
+        for (number, done) in [(2, 0), (2, 4), (3, if still { 0 } else { 1 })] {
+            fs::write(path.join("layer.usda"), animated(&bodies(number))).expect("written");
+            assert_eq!(run("root.usda", out), done, "{out} {number}");
+        }
+    }
+    fs::remove_file(path.join("layer.usda")).expect("removed");
+    let missing =
+        convert(path, &["dam.1.ply", "--voxel-size", "0.05", "--out", "o", "--obstacle", "root.usda"]);
+    assert!(missing.status != 0 && missing.err.contains("refers to the layer layer.usda"), "{}", missing.err);
+    // A frame without a number has no sample.
+    fs::write(path.join("dam.ply"), fs::read(path.join("dam.1.ply")).expect("read")).expect("written");
+    let unnumbered =
+        convert(path, &["dam.ply", "--voxel-size", "0.05", "--out", "o", "--obstacle", "body.usda"]);
+    assert!(
+        unnumbered.status != 0 && unnumbered.err.contains("the frame has no number"),
+        "{}",
+        unnumbered.err
+    );
+}
+
 #[test]
 fn invalid_obstacle_is_an_error() {
     let folder = tempdir().expect("a folder");

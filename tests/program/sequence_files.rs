@@ -352,14 +352,9 @@ fn info_describes_a_sequence_file_and_convert_refuses_it() {
     let text = meniscus(path, &["info", "stage.usda"]).out;
     let note = "a stage: it plays the files of 3 frames, from time code 1 to 3, at 30 frames per second";
     assert!(text.contains(note), "{text}");
-    for name in ["shot.glb", "shot.abc"] {
-        let result = meniscus(path, &[&convert[..], &["--obstacle", name]].concat());
-        assert!(
-            result.status == 2 && result.err.contains("this file is a sequence of 3 frames"),
-            "{}",
-            result.err
-        );
-    }
+    let result = meniscus(path, &[&convert[..], &["--obstacle", "shot.glb"]].concat());
+    let refusal = "this file is a sequence of 3 frames";
+    assert!(result.status == 2 && result.err.contains(refusal), "{}", result.err);
     fs::copy(path.join("out/dam.1.glb"), path.join("rock.glb")).expect("copied");
     succeeded(&meniscus(path, &[&convert[..], &["--obstacle", "rock.glb"]].concat()));
     // A sequence file contains no particles either; the error names it once.

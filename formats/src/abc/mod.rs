@@ -23,7 +23,7 @@ use std::io::{self, Read, Seek, Write};
 
 pub(crate) use archive::HDF5;
 pub use points::read_points;
-pub use read::{read_mesh, read_mesh_at, read_mesh_times, read_sample, read_sequence_info, read_times};
+pub use read::{read_mesh, read_sample, read_sequence_info, read_times};
 
 use crate::columns::role_of;
 use crate::data::{

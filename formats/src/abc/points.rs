@@ -13,6 +13,7 @@ use std::collections::HashSet;
 use super::FORMAT;
 use super::archive::{PropertyHeader, entry};
 use super::mesh::{IDENTITY, Matrix, cofactors, determinant, names, transformed};
+use super::read::MESHES;
 use super::scene::{Geometry, GeometryKind, Scene, positions};
 use crate::batches::ReadAt;
 use crate::container::{ContainerFile, ContainerReader, Sample};
@@ -22,7 +23,8 @@ use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
 use crate::text::excerpt;
 
-pub(super) const READER: ContainerReader = ContainerReader::new(samples, read);
+pub(super) const READER: ContainerReader =
+    ContainerReader { meshes: Some(MESHES), ..ContainerReader::new(samples, read) };
 
 /// The largest difference between a time, in frames, and a whole frame.
 const FRAME_TOLERANCE: f64 = 1e-3;
@@ -47,19 +49,21 @@ fn times(scene: &Scene, limits: &Limits) -> Result<Vec<f64>> {
     scene.times(GeometryKind::Points, limits)
 }
 
-/// The frames of these times; `None` unless all are whole frames at a whole number of frames per second, the
-/// inverse of the shortest step.
+/// The frames of these times; `None` unless all are whole frames at a rate of at least one frame per second: the
+/// inverse of the shortest step, rounded to a whole number if possible.
 pub(super) fn frame_numbers(times: &[f64]) -> Option<Vec<i64>> {
     let step = times.windows(2).map(|pair| pair[1] - pair[0]).min_by(f64::total_cmp)?;
-    let fps = (1.0 / step).round();
-    #[expect(clippy::cast_possible_truncation, reason = "below 2⁵³")]
-    let number = |time: &f64| {
-        let frame = time * fps;
-        let is_whole = (frame - frame.round()).abs() < FRAME_TOLERANCE && frame.abs() < 1e15;
-        is_whole.then_some(frame.round() as i64)
-    };
-    let numbers: Vec<i64> = times.iter().map(number).collect::<Option<_>>().filter(|_| fps >= 1.0)?;
-    numbers.windows(2).all(|pair| pair[0] < pair[1]).then_some(numbers)
+    let rates = [(1.0 / step).round(), 1.0 / step];
+    rates.into_iter().filter(|fps| *fps >= 1.0).find_map(|fps| {
+        #[expect(clippy::cast_possible_truncation, reason = "below 2⁵³")]
+        let number = |time: &f64| {
+            let frame = time * fps;
+            let is_whole = (frame - frame.round()).abs() < FRAME_TOLERANCE && frame.abs() < 1e15;
+            is_whole.then_some(frame.round() as i64)
+        };
+        let numbers: Vec<i64> = times.iter().map(number).collect::<Option<_>>()?;
+        numbers.windows(2).all(|pair| pair[0] < pair[1]).then_some(numbers)
+    })
 }
 
 fn read(file: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {

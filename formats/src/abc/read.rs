@@ -7,13 +7,15 @@ use super::FORMAT;
 use super::archive::{Archive, check_start, own_metadata};
 use super::document::{HEADER_BYTES, Pod, ROOT_CHILDREN};
 use super::mesh::{IDENTITY, Matrix, cofactors, determinant, names, transformed};
+use super::points::frame_numbers;
 use super::scene::{Geometry, GeometryKind, Scene, position_and_count_samples, positions, vectors};
 use crate::batches::ReadAt;
-use crate::container::ContainerFile;
+use crate::container::SceneMeshReader;
 use crate::data::MeshData;
 use crate::error::{Error, Position, Result};
 use crate::gltf::{SEQUENCE_FRAMES, SequenceInfo};
 use crate::limits::Limits;
+use crate::sequence::MOMENTS;
 
 /// The name of the attribute in the property for velocities.
 pub(super) const VELOCITY: &str = "velocity";
@@ -58,24 +60,34 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     mesh(&scene, None, limits)
 }
 
-/// Reads the meshes of an archive at a time in seconds: of each the last sample at or before it, or else the
-/// first; the first without a time.
-///
-/// # Errors
-///
-/// Those of [`read_mesh`], except that for sequences.
-pub fn read_mesh_at(file: &ContainerFile, time: Option<f64>, limits: &Limits) -> Result<MeshData> {
-    mesh(&Scene::open(file.file, limits)?, time, limits)
-}
+/// How the meshes of scenes are read.
+pub(super) const MESHES: SceneMeshReader = SceneMeshReader {
+    are_animated: |file, limits| {
+        Ok(Scene::open(file.file, limits)?.times(GeometryKind::Mesh, limits)?.len() > 1)
+    },
+    read: |file, number, limits| {
+        let scene = Scene::open(file.file, limits)?;
+        let times = scene.times(GeometryKind::Mesh, limits)?;
+        mesh(&scene, number.map(|number| time_of(number, &times)).transpose()?.flatten(), limits)
+    },
+};
 
-/// The times at which the meshes of an archive change, in seconds; empty if there is one sample, without a
-/// time.
-///
-/// # Errors
-///
-/// Those of [`read_mesh_at`].
-pub fn read_mesh_times(file: &ContainerFile, limits: &Limits) -> Result<Vec<f64>> {
-    Scene::open(file.file, limits)?.times(GeometryKind::Mesh, limits)
+/// The time of the frame with a number, in seconds: that of the last sample at or before it, or else of the first;
+/// `None` if there is one sample, without a time.
+fn time_of(number: i64, times: &[f64]) -> Result<Option<f64>> {
+    if times.len() < 2 {
+        return Ok(None);
+    }
+    let Some(samples) = frame_numbers(times) else {
+        let what = "the times of its samples are not whole frames at any frame rate: use a file of each frame, as in \
+                    body.####.abc";
+        return Err(Error::unsupported(FORMAT, what));
+    };
+    // The shortest step may be that from the last moment of a frame to the next frame.
+    let is_held = |sample: &i64| [0, MOMENTS - 1].contains(&sample.rem_euclid(MOMENTS));
+    let sample = if samples.iter().all(is_held) { number.saturating_mul(MOMENTS) } else { number };
+    let later = samples.partition_point(|known| *known <= sample);
+    Ok(times.get(later.saturating_sub(1)).copied())
 }
 
 /// The times of the samples of an archive, in seconds. A frame may have two samples.

@@ -4,6 +4,7 @@ use super::archive::Archive;
 use super::document::{AbcObject, AbcProperty, DATA, Ogawa, Pod, StoredSample, Times, write_archive};
 use super::mesh::{IDENTITY, names, transformed};
 use super::points::{READER, frame_numbers};
+use super::read::MESHES;
 use super::scene::operation_matrix;
 use super::*;
 use crate::container::{ContainerFile, OpenFurther};
@@ -206,13 +207,15 @@ fn operations_of_transforms_are_those_of_alembic() {
 
 #[test]
 fn times_of_whole_frames_give_their_numbers() {
-    let table: [(&[f64], Option<&[i64]>); 8] = [
+    let ntsc = [1001.0, 1002.0, 1003.0].map(|frame| frame * 1001.0 / 24000.0);
+    let table: [(&[f64], Option<&[i64]>); 9] = [
         (&[], None),
         (&[0.5], None),
         (&[0.0, 1.0 / 24.0, 2.0 / 24.0], Some(&[0, 1, 2])),
         (&[-1.0 / 30.0, 1.0 / 30.0, 2.0 / 30.0], Some(&[-1, 1, 2])),
         (&[1.0, 2.0], Some(&[1, 2])),
         (&[0.0, 0.25 / 24.0, 1.0 / 24.0], Some(&[0, 1, 4])),
+        (&ntsc, Some(&[1001, 1002, 1003])),
         (&[0.0, 0.1, 0.25], None),
         (&[0.0, 1e-300, f64::INFINITY], None),
     ];
@@ -270,11 +273,9 @@ fn meshes_are_read_at_a_time() {
     write_archive(&[], &Times::Frames { times: FRAMES.into(), fps: 24.0 }, mesh, &mut bytes)
         .expect("written");
     let limits = Limits::default();
-    let times = with_file(&bytes, |file| read_mesh_times(file, &limits)).expect("times");
-    assert_eq!(times, FRAMES.map(|frame| frame / 24.0));
-    for (frame, x) in [(None, 1.0), (Some(0.0), 1.0), (Some(1.0), 1.0), (Some(3.5), 2.0), (Some(9.0), 3.0)] {
-        let time = frame.map(|frame: f64| frame / 24.0);
-        let mesh = with_file(&bytes, |file| read_mesh_at(file, time, &limits)).expect("read");
+    assert!(with_file(&bytes, |file| (MESHES.are_animated)(file, &limits)).expect("times"));
+    for (frame, x) in [(None, 1.0), (Some(0), 1.0), (Some(1), 1.0), (Some(3), 2.0), (Some(9), 3.0)] {
+        let mesh = with_file(&bytes, |file| (MESHES.read)(file, frame, &limits)).expect("read");
         assert_eq!((mesh.positions[0][0], &*mesh.triangles), (x, &[[0, 1, 2]][..]), "{frame:?}");
     }
     let error = read_mesh(&bytes, &limits).expect_err("several samples").to_string();

@@ -6,9 +6,10 @@ use std::sync::Arc;
 use super::FORMAT;
 use super::composed::{ComposedStage, StagePrim};
 use super::layer::wide;
-use super::place::{PrimMatrix, cofactors, determinant, transformed};
+use super::package::LayerBytes;
+use super::place::{PrimMatrix, ancestors, cofactors, determinant, transformed};
 use super::points::distinct;
-use crate::container::{ContainerFile, OpenFurther};
+use crate::container::{OpenFurther, SceneMeshReader};
 use crate::data::{MeshData, Values};
 use crate::error::{Error, Position, Result};
 use crate::gltf::ReadExternal;
@@ -16,13 +17,15 @@ use crate::limits::Limits;
 use crate::named_arrays::NamedArray;
 use crate::text::excerpt;
 
-/// The time codes of a stage at which its meshes change.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct MeshTimes {
-    /// In ascending order; empty if the meshes never change.
-    pub(crate) codes: Vec<f64>,
-    pub(crate) codes_per_second: f64,
-}
+/// How the meshes of stages are read.
+pub(crate) const READER: SceneMeshReader = SceneMeshReader {
+    are_animated: |file, limits| is_animated(&ComposedStage::open(file, limits)?),
+    read: |file, number, limits| {
+        #[expect(clippy::cast_precision_loss, reason = "time codes of stages are doubles")]
+        let time = number.map(|number| number as f64);
+        read_mesh(&ComposedStage::open(file, limits)?, time, limits)
+    },
+};
 
 /// Reads the triangles of all visible prims of the type `Mesh` at a time code; `None` is the default value, or
 /// the first sample. Polygons become triangle fans, outward as the prim declares. Other surfaces are not
@@ -32,15 +35,14 @@ pub(crate) struct MeshTimes {
 /// # Errors
 /// [`Error::Unsupported`] without a `Mesh`, and with the path of a prim for what is not supported;
 /// [`Error::Invalid`] if faces are inconsistent; otherwise those of the layers.
-pub(crate) fn read_mesh(file: &ContainerFile, time: Option<f64>, limits: &Limits) -> Result<MeshData> {
-    let stage = ComposedStage::open(file, limits)?;
+fn read_mesh(stage: &ComposedStage, time: Option<f64>, limits: &Limits) -> Result<MeshData> {
     let mut mesh = MeshData::default();
     let mut has_normals = true;
-    for prim in mesh_prims(&stage)? {
+    for prim in mesh_prims(stage)? {
         if !stage.is_visible(&prim, time)? {
             continue;
         }
-        let PrimMesh { points, normals, triangles, matrix } = PrimMesh::read(&stage, &prim, time)?;
+        let PrimMesh { points, normals, triangles, matrix } = PrimMesh::read(stage, &prim, time)?;
         let first = mesh.positions.len();
         limits.check_particles(FORMAT, (first + points.len() / 3) as u64)?;
         let points = wide(&points);
@@ -64,34 +66,29 @@ pub(crate) fn read_mesh(file: &ContainerFile, time: Option<f64>, limits: &Limits
     Ok(mesh)
 }
 
-/// The time codes at which the meshes or their transforms have samples.
-///
-/// # Errors
-/// As [`read_mesh`].
-pub(crate) fn read_mesh_times(file: &ContainerFile, limits: &Limits) -> Result<MeshTimes> {
-    let stage = ComposedStage::open(file, limits)?;
-    times_of(&stage)
-}
-
-fn times_of(stage: &ComposedStage) -> Result<MeshTimes> {
+/// Whether the meshes, their transforms or their visibility have samples at several time codes.
+fn is_animated(stage: &ComposedStage) -> Result<bool> {
     let mut codes = Vec::new();
     for prim in mesh_prims(stage)? {
-        for name in ["points", "faceVertexCounts", "faceVertexIndices"] {
+        for name in ["points", "faceVertexCounts", "faceVertexIndices", "holeIndices"] {
             codes.extend(stage.sample_codes(&prim, name)?);
+        }
+        for prim in ancestors(&prim) {
+            codes.extend(stage.sample_codes(prim, "visibility")?);
         }
         codes.extend(stage.transform_codes(&prim)?);
     }
-    Ok(MeshTimes { codes: distinct(codes), codes_per_second: stage.codes_per_second()? })
+    Ok(distinct(codes).len() > 1)
 }
 
 /// Reads the mesh of a file without animation. `read_external` reads the files to which it refers.
 pub(crate) fn read_alone(bytes: &[u8], limits: &Limits, read_external: &ReadExternal) -> Result<MeshData> {
     let open: &OpenFurther = &|path| Ok(Box::new(Arc::<[u8]>::from(read_external(path)?)));
-    let file = ContainerFile { file: &bytes, name: "", open };
-    if read_mesh_times(&file, limits)?.codes.len() > 1 {
+    let stage = ComposedStage::of_file(LayerBytes::of_slice(bytes), open, limits)?;
+    if is_animated(&stage)? {
         return Err(Error::unsupported(FORMAT, "this file is a sequence: use the file of one frame"));
     }
-    read_mesh(&file, None, limits)
+    read_mesh(&stage, None, limits)
 }
 
 /// The meshes for final pictures.

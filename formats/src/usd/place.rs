@@ -233,7 +233,7 @@ const RESET: &str = "!resetXformStack!";
 const INVERT: &str = "!invert!";
 
 /// The prim, and those above it.
-fn ancestors(prim: &StagePrim) -> impl Iterator<Item = &StagePrim> {
+pub(crate) fn ancestors(prim: &StagePrim) -> impl Iterator<Item = &StagePrim> {
     std::iter::successors(Some(prim), |prim| prim.parent.as_deref().map(|parent: &StagePrim| parent))
 }
 

@@ -27,7 +27,10 @@ use crate::row::{FormatRow, ParticleReader};
 use crate::text::{excerpt, excerpts};
 
 /// How frames are read from the text form, the binary form and packages.
-pub(crate) const READER: ParticleReader = ParticleReader::container(ContainerReader::new(samples, read));
+pub(crate) const READER: ParticleReader = ParticleReader::container(ContainerReader {
+    meshes: Some(super::mesh::READER),
+    ..ContainerReader::new(samples, read)
+});
 
 /// The row of packages in the table of formats.
 pub(crate) static PACKAGE_ROW: FormatRow = FormatRow {

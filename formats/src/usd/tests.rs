@@ -2,7 +2,7 @@
 
 use std::io;
 
-use super::mesh::{read_mesh, read_mesh_times};
+use super::mesh;
 use super::points::READER;
 use crate::batches::ReadAt;
 use crate::container::{ContainerFile, Sample};
@@ -174,14 +174,10 @@ fn animated_meshes_are_read_at_a_time() {
             int[] faceVertexIndices = [0, 1, 2] } }";
     let limits = Limits::default();
     with_stage(&[("m.usda", text)], |file| {
-        let times = read_mesh_times(file, &limits).expect("a stage");
-        assert_eq!((times.codes, times.codes_per_second), (vec![1.0, 11.0], 24.0));
-        for (time, x) in [(None, 0.0), (Some(1.0), 0.0), (Some(3.0), 2.0), (Some(99.0), 10.0)] {
-            assert_eq!(
-                read_mesh(file, time, &limits).expect("a mesh").positions[0],
-                [x, 0.0, 0.0],
-                "{time:?}"
-            );
+        assert!((mesh::READER.are_animated)(file, &limits).expect("a stage"));
+        for (number, x) in [(None, 0.0), (Some(1), 0.0), (Some(3), 2.0), (Some(99), 10.0), (Some(-9), 0.0)] {
+            let mesh = (mesh::READER.read)(file, number, &limits).expect("a mesh");
+            assert_eq!(mesh.positions[0], [x, 0.0, 0.0], "{number:?}");
         }
     });
 }

@@ -362,7 +362,8 @@ option_set! {
         /// may be repeated
         ///
         /// A file applies to all frames. With a numbered pattern such as body.####.obj, each frame uses the
-        /// file with its own number.
+        /// file with its own number. Of meshes with time samples, each frame uses those at its own number: the
+        /// time code in USD, and in Alembic the frame at the rate of the samples.
         #[arg(long, value_name = "FILE", help_heading = OptionGroup::Obstacles.heading())]
         pub(super) obstacle: Vec<PathBuf>,
     }

@@ -200,6 +200,8 @@ impl FileInfo {
         self.made_by = if codec.is_none() { made_by(kind, bytes) } else { None };
         let limits = Limits::default();
         let is_surface = match kind.format() {
+            // Packed bytes are those of particles.
+            Some(_) if format_of_packed(bytes).is_some() => false,
             Some(format) if codec.is_none() => self.fill_surface(format, bytes, &name, &limits)?,
             Some(format) if has_only_mesh(format) => {
                 self.mesh = Some(MeshInfo::of(&read_mesh_alone(bytes, &name, &limits)?));

@@ -14,7 +14,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use meniscus_formats::compression::{decompressed, read_head};
 use meniscus_formats::container::{self, is_container};
-use meniscus_formats::{Codec, ContainerFile, Limits, Probe, ProbedKind, ReadAt, Result, Sample, probe};
+use meniscus_formats::{
+    Codec, ContainerFile, Limits, MeshData, Probe, ProbedKind, ReadAt, Result, Sample, probe,
+};
 use twox_hash::xxhash3_128::Hasher;
 
 use crate::pipeline::files::input_file::InputFile;
@@ -59,8 +61,8 @@ pub(super) struct OpenContainer {
     file: Arc<InputFile>,
     /// The content, if the file is compressed.
     unpacked: Option<Arc<[u8]>>,
-    /// The files that it names and that were opened.
-    further: Mutex<Vec<Arc<InputFile>>>,
+    /// The files that it names and that a reader wanted: `None` if they could not be opened.
+    further: Mutex<Vec<(PathBuf, Option<Arc<InputFile>>)>>,
 }
 
 impl OpenContainer {
@@ -134,13 +136,44 @@ impl OpenContainer {
     /// When the frame cannot be read.
     pub(super) fn packed(&self, index: usize) -> Result<Option<Vec<u8>>> {
         let packed = self.with(|file| container::packed(self.kind, file, index, &Limits::default()));
-        let further = std::mem::take(&mut *self.lock_further());
-        for file in further.iter().chain([&self.file]) {
+        let is_unchanged = self.is_unchanged()?;
+        self.lock_further().clear();
+        if is_unchanged { packed.map(Some) } else { Ok(None) }
+    }
+
+    /// Whether neither the file nor those that were opened since were written, replaced or removed.
+    fn is_unchanged(&self) -> Result<bool> {
+        for file in self.lock_further().iter().filter_map(|(_, file)| file.as_ref()).chain([&self.file]) {
             if !file.is_unchanged()? {
-                return Ok(None);
+                return Ok(false);
             }
         }
-        packed.map(Some)
+        Ok(true)
+    }
+
+    /// Whether its meshes change with the time; `None` if it is no scene.
+    ///
+    /// # Errors
+    /// When the structure cannot be read, or there are no meshes.
+    pub(super) fn are_meshes_animated(&self) -> Result<Option<bool>> {
+        self.with(|file| container::are_meshes_animated(self.kind, file, &Limits::default()))
+    }
+
+    /// The meshes of a scene in the frame with a number; `None` if one of the files was written meanwhile.
+    ///
+    /// # Errors
+    /// When they cannot be read.
+    pub(super) fn meshes(&self, number: Option<i64>) -> Result<Option<MeshData>> {
+        let meshes = self.with(|file| container::scene_mesh(self.kind, file, number, &Limits::default()));
+        if self.is_unchanged()? { meshes.map(Some) } else { Ok(None) }
+    }
+
+    /// The paths of the files beside it that its readers wanted, and the stamps of those that were opened.
+    pub(super) fn further_files(&self) -> Vec<(PathBuf, Option<FileStamp>)> {
+        let stamped = |(path, file): &(PathBuf, Option<Arc<InputFile>>)| {
+            (path.clone(), file.as_ref().map(|file| file.stamp()))
+        };
+        self.lock_further().iter().map(stamped).collect()
     }
 
     /// Calls a function of the reader.
@@ -152,15 +185,17 @@ impl OpenContainer {
 
     /// Opens a file that the container names, by its path relative to the folder.
     fn open_further(&self, path: &str) -> io::Result<Box<dyn ReadAt>> {
-        let file = Arc::new(InputFile::open(&self.folder.join(path))?);
-        self.lock_further().push(Arc::clone(&file));
+        let path = self.folder.join(path);
+        let file = InputFile::open(&path).map(Arc::new);
+        self.lock_further().push((path, file.as_ref().ok().map(Arc::clone)));
+        let file = file?;
         match unpacked(&file).map_err(io::Error::other)? {
             Some(bytes) => Ok(Box::new(bytes)),
             None => Ok(Box::new(file)),
         }
     }
 
-    fn lock_further(&self) -> std::sync::MutexGuard<'_, Vec<Arc<InputFile>>> {
+    fn lock_further(&self) -> std::sync::MutexGuard<'_, Vec<(PathBuf, Option<Arc<InputFile>>)>> {
         self.further.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

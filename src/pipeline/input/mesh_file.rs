@@ -2,11 +2,13 @@
 
 use std::io::{self, Read};
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 use glam::DVec3;
 use meniscus_formats::compression::{name_without_compression, read_head};
 use meniscus_formats::{Format, Limits, MeshData, gltf, looks_like_mesh, looks_like_particles, read_mesh};
 use twox_hash::XxHash3_128;
+use twox_hash::xxhash3_128::Hasher;
 
 use super::obstacle_file::may_have_buffers;
 use crate::pipeline::error::{FrameError, Stage};
@@ -19,7 +21,7 @@ use crate::render::{Picture, TriangleMesh, render_mesh};
 pub struct MeshFile {
     /// The mesh, which may be empty.
     pub data: MeshData,
-    /// The XXH3 hash of the file, 128 bits.
+    /// The XXH3 hash of the file and of those to which it refers, 128 bits.
     pub hash: u128,
 }
 
@@ -33,7 +35,8 @@ impl MeshFile {
         let bytes = read_regular(path).map_err(|error| fail(error.into()))?;
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let folder = path.parent().unwrap_or(Path::new(""));
-        let read_external = |relative: &str| {
+        let further = Mutex::new(None::<Hasher>);
+        let read_one = |relative: &str| {
             if !may_have_buffers(path) {
                 return read_regular(&folder.join(relative));
             }
@@ -43,9 +46,17 @@ impl MeshFile {
             open_regular(&folder.join(relative))?.take(file.byte_count).read_to_end(&mut content)?;
             Ok(content)
         };
+        let read_external = |relative: &str| {
+            let content = read_one(relative)?;
+            let mut further = further.lock().unwrap_or_else(PoisonError::into_inner);
+            further.get_or_insert_default().write(&content);
+            Ok(content)
+        };
         let read = || read_mesh(&bytes, &name, &Limits::default(), &read_external);
         let data = FrameError::catch(path, Stage::Read, read)?.map_err(fail)?;
-        Ok(MeshFile { data, hash: XxHash3_128::oneshot(&bytes) })
+        let further = further.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let hash = XxHash3_128::oneshot(&bytes) ^ further.map_or(0, |hasher| hasher.finish_128());
+        Ok(MeshFile { data, hash })
     }
 
     fn scene(&self) -> TriangleMesh<'_> {
@@ -82,3 +93,26 @@ pub fn is_mesh(path: &Path) -> bool {
 
 /// More bytes than the headers of meshes.
 const HEAD_BYTES: u64 = 64 << 10;
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn hash_contains_the_layers_of_a_stage() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let [root, layer] = ["root.usda", "layer.usda"].map(|name| folder.path().join(name));
+        fs::write(&root, "#usda 1.0\n( subLayers = [@./layer.usda@] )\n").expect("written");
+        let hashes = [1, 2, 1].map(|x| {
+            let text = format!(
+                "#usda 1.0\ndef Mesh \"m\" {{ point3f[] points = [(0, 0, 0), ({x}, 0, 0), (0, 1, 0)] \
+                 int[] faceVertexCounts = [3] int[] faceVertexIndices = [0, 1, 2] }}"
+            );
+            fs::write(&layer, text).expect("written");
+            MeshFile::read(&root).expect("a mesh").hash
+        });
+        assert!(hashes[0] != hashes[1] && hashes[0] == hashes[2]);
+    }
+}

@@ -1,7 +1,8 @@
 //! An obstacle file: reads and hashes it, turns it into a solid, and finds likely mistakes in it.
 //!
-//! The buffers of a `.gltf` may be separate files. They belong to the obstacle: their bytes are hashed with
-//! it, and a change of one of them reloads it.
+//! The buffers of a `.gltf` and the layers of a stage may be separate files. They belong to the obstacle: their
+//! content is hashed with it, and a change of one of them reloads it. Of an animation, the hash is that of the
+//! meshes in the frame, so that a longer animation changes no frame.
 
 use std::collections::HashMap;
 use std::io;
@@ -10,13 +11,14 @@ use std::sync::{Mutex, PoisonError};
 
 use glam::{DVec3, IVec3};
 use meniscus_formats::vdb::LevelSetData;
-use meniscus_formats::{Error, ObstacleData, gltf, read_obstacle};
+use meniscus_formats::{Error, MeshData, ObstacleData, gltf, read_obstacle};
 use twox_hash::XxHash3_128;
 use twox_hash::xxhash3_128::Hasher;
 
 use crate::surface::obstacle::{GridSdf, MeshFindings, MeshSdf, ObstacleSdf, SourceLevelSet};
 use crate::surface::options::Settings;
 
+use super::container::OpenContainer;
 use super::level_set_file::level_set_limits;
 use crate::pipeline::error::ObstacleError;
 use crate::pipeline::files::input_file::{read_start_unchanged, read_unchanged};
@@ -27,9 +29,11 @@ use crate::pipeline::warning::ObstacleFinding;
 #[derive(Clone)]
 pub(super) struct ObstacleSource {
     pub(super) path: PathBuf,
-    /// The file and its buffer files, with their stamps when they were read.
+    /// The file and its further files, with their stamps when they were read.
     files: Vec<(PathBuf, FileStamp)>,
     pub(super) hash: u128,
+    /// Whether each frame has its own meshes.
+    pub(super) is_animated: bool,
 }
 
 impl ObstacleSource {
@@ -39,17 +43,25 @@ impl ObstacleSource {
     }
 }
 
-/// The bytes of an obstacle file, and those of each of its buffer files.
-pub(super) struct ObstacleBytes {
-    file: Vec<u8>,
-    buffers: HashMap<String, Vec<u8>>,
+/// What was read of an obstacle.
+pub(super) enum ReadObstacle {
+    /// The bytes of the file, and those of each of its buffer files.
+    Bytes { file: Vec<u8>, buffers: HashMap<String, Vec<u8>> },
+    /// The meshes of an animation or of several layers.
+    Meshes(MeshData),
 }
 
-/// Reads an obstacle file and its buffers.
+/// Reads an obstacle for the frame with a number, and all files that belong to it.
 ///
 /// # Errors
 /// When a file cannot be read, or is written meanwhile.
-pub(super) fn read(path: PathBuf) -> Result<(ObstacleSource, ObstacleBytes), ObstacleError> {
+pub(super) fn read(
+    path: PathBuf,
+    number: Option<i64>,
+) -> Result<(ObstacleSource, ReadObstacle), ObstacleError> {
+    if let Some(scene) = read_scene(&path, number)? {
+        return Ok(scene);
+    }
     let unchanged = read_unchanged(&path).map_err(|error| failed(&path, error))?;
     let (file, stamp) = unchanged.ok_or_else(|| changed(&path))?;
     let mut files = vec![(path.clone(), stamp)];
@@ -67,14 +79,61 @@ pub(super) fn read(path: PathBuf) -> Result<(ObstacleSource, ObstacleBytes), Obs
         buffers.insert(external.path, bytes);
     }
     let hash = XxHash3_128::oneshot(&file) ^ buffer_hasher.map_or(0, |hasher| hasher.finish_128());
-    Ok((ObstacleSource { path, files, hash }, ObstacleBytes { file, buffers }))
+    let source = ObstacleSource { path, files, hash, is_animated: false };
+    Ok((source, ReadObstacle::Bytes { file, buffers }))
+}
+
+/// Reads the meshes of an animation or of a scene of several files; `None` for other files.
+fn read_scene(
+    path: &Path,
+    number: Option<i64>,
+) -> Result<Option<(ObstacleSource, ReadObstacle)>, ObstacleError> {
+    let fail = |error: Error| failed(path, error);
+    let Some(open) = OpenContainer::open(path).map_err(fail)? else { return Ok(None) };
+    let Some(is_animated) = open.are_meshes_animated().map_err(fail)? else { return Ok(None) };
+    if is_animated && number.is_none() {
+        let what = "its meshes are animated, and the frame has no number that says which of them belong to it: use a \
+                    file of one frame";
+        return Err(fail(Error::unsupported("", what)));
+    }
+    if !is_animated && open.further_files().is_empty() {
+        return Ok(None);
+    }
+    let meshes = open.meshes(number).map_err(fail)?.ok_or_else(|| changed(path))?;
+    let further = open.further_files().into_iter().filter_map(|(path, stamp)| Some((path, stamp?)));
+    let files = further.chain([(path.to_owned(), open.stamp())]).collect();
+    let mut hasher = Hasher::new();
+    hasher.write(bytemuck::cast_slice(&meshes.positions));
+    hasher.write(bytemuck::cast_slice(&meshes.triangles));
+    let source = ObstacleSource { path: path.to_owned(), files, hash: hasher.finish_128(), is_animated };
+    Ok(Some((source, ReadObstacle::Meshes(meshes))))
+}
+
+/// The files that an obstacle names: its buffers or layers, as far as it can be read.
+pub(super) fn further_files(path: &Path) -> Vec<PathBuf> {
+    if may_have_buffers(path) {
+        let bytes = read_unchanged(path).ok().flatten().map(|(bytes, _)| bytes);
+        let buffers = bytes.and_then(|bytes| buffers_of(path, &bytes).ok()).unwrap_or_default();
+        return buffers.iter().map(|buffer| path.with_file_name(&buffer.path)).collect();
+    }
+    let Ok(Some(open)) = OpenContainer::open(path) else { return Vec::new() };
+    // The files that were wanted before an error are known.
+    let _ = open.are_meshes_animated();
+    open.further_files().into_iter().map(|(path, _)| path).collect()
+}
+
+/// Whether an obstacle may name further files, judged by its name.
+pub(super) fn may_have_further_files(path: &Path) -> bool {
+    let is_layer = |extension: &str| ["usd", "usda", "usdc"].contains(&extension);
+    let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
+    may_have_buffers(path) || extension.to_str().is_some_and(is_layer)
 }
 
 /// An obstacle's buffer files.
 ///
 /// # Errors
 /// When the file is not a valid `.gltf`, or a buffer is outside of its folder.
-pub(super) fn buffers_of(path: &Path, bytes: &[u8]) -> meniscus_formats::Result<Vec<gltf::ExternalFile>> {
+fn buffers_of(path: &Path, bytes: &[u8]) -> meniscus_formats::Result<Vec<gltf::ExternalFile>> {
     if !may_have_buffers(path) {
         return Ok(Vec::new());
     }
@@ -92,11 +151,17 @@ pub(super) fn may_have_buffers(path: &Path) -> bool {
 /// When the bytes are no valid obstacle, or need more memory.
 pub(super) fn parse(
     path: &Path,
-    bytes: ObstacleBytes,
+    obstacle: ReadObstacle,
     memory_bytes: u64,
 ) -> Result<ObstacleSdf, ObstacleError> {
+    let (file, buffers) = match obstacle {
+        ReadObstacle::Bytes { file, buffers } => (file, buffers),
+        ReadObstacle::Meshes(meshes) => {
+            return Ok(ObstacleSdf::Mesh(MeshSdf::new(&meshes.positions, &meshes.triangles)));
+        }
+    };
     // The reader takes a shared function, and each file is taken once.
-    let buffers = Mutex::new(bytes.buffers);
+    let buffers = Mutex::new(buffers);
     let take = |relative: &str| {
         let bytes = buffers.lock().unwrap_or_else(PoisonError::into_inner).remove(relative);
         bytes.ok_or_else(|| {
@@ -104,13 +169,13 @@ pub(super) fn parse(
             io::Error::new(io::ErrorKind::Unsupported, message)
         })
     };
-    let data = read_obstacle(&bytes.file, &name_of(path), &level_set_limits(memory_bytes), &take)
+    let data = read_obstacle(&file, &name_of(path), &level_set_limits(memory_bytes), &take)
         .map_err(|error| failed(path, error))?;
     match data {
         ObstacleData::Mesh(mesh) => Ok(ObstacleSdf::Mesh(MeshSdf::new(&mesh.positions, &mesh.triangles))),
         ObstacleData::LevelSet(data) => {
             let name = data.name.clone();
-            let used_bytes = (bytes.file.len() as u64).saturating_add(data.memory_bytes());
+            let used_bytes = (file.len() as u64).saturating_add(data.memory_bytes());
             let sdf = GridSdf::new(source_of(*data), memory_bytes.saturating_sub(used_bytes));
             sdf.map(|sdf| ObstacleSdf::Grid(Box::new(sdf))).map_err(|message| {
                 failed(path, Error::unsupported("OpenVDB", format!("the grid \"{name}\" {message}")))

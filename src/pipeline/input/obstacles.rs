@@ -3,6 +3,7 @@
 //! ```text
 //!   floor.obj          an obstacle of every frame; read once, and again after a change
 //!   body.####.obj      moves: each frame needs the file with its own number, or fails
+//!   body.usdc          moves if its meshes have several samples: each frame has the meshes of its number
 //! ```
 //!
 //! The files of a frame are found and hashed first. They are parsed only if the frame is not done already.
@@ -17,12 +18,11 @@ use crate::surface::obstacle::{Obstacle, Obstacles};
 use crate::surface::options::Settings;
 
 use super::obstacle_file::{
-    ObstacleBytes, ObstacleSource, buffers_of, failed, findings_of, loading_factor, may_have_buffers,
+    ObstacleSource, ReadObstacle, failed, findings_of, further_files, loading_factor, may_have_further_files,
     name_of, open_edges, parse, read, require_volume,
 };
 use crate::pipeline::error::ObstacleError;
 use crate::pipeline::files::identity::{are_same_file, canonical_path};
-use crate::pipeline::files::input_file::read_unchanged;
 use crate::pipeline::files::number_pattern::{NumberPattern, may_be_file};
 use crate::pipeline::files::open::require_regular;
 use crate::pipeline::files::stamp::FileStamp;
@@ -34,9 +34,12 @@ pub struct ObstacleFiles {
     paths: Vec<PathBuf>,
     /// The loaded obstacles that do not move, by their paths.
     loaded: Mutex<HashMap<PathBuf, LoadedObstacle>>,
-    /// The buffer files of each `.gltf`, and the stamp of the `.gltf` that named them.
-    buffers: Mutex<HashMap<PathBuf, (FileStamp, Vec<PathBuf>)>>,
+    /// The files of each obstacle that may have several, its own first.
+    further: Mutex<HashMap<PathBuf, StampedFiles>>,
 }
+
+/// Files, and their stamps when they were found.
+type StampedFiles = Vec<(PathBuf, Option<FileStamp>)>;
 
 /// The state of a frame's obstacle files at one time.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -70,7 +73,7 @@ struct FoundObstacle {
 
 /// What was read from an obstacle file now, or loaded from it earlier.
 enum ObstacleContent {
-    Bytes(ObstacleBytes),
+    Read(ReadObstacle),
     Loaded(Arc<Obstacle>),
 }
 
@@ -135,7 +138,7 @@ impl ObstacleFiles {
         let is_replaced = |path: &&PathBuf| {
             are_same_file(path, output)
                 || moving_pattern(path).is_some_and(|pattern| is_member(path, pattern))
-                || self.buffer_files(path).iter().any(|buffer| are_same_file(buffer, output))
+                || self.further_files(path).iter().any(|buffer| are_same_file(buffer, output))
         };
         self.paths.iter().find(is_replaced).map(PathBuf::as_path)
     }
@@ -149,7 +152,7 @@ impl ObstacleFiles {
                 continue;
             };
             stamps.add(path, FileStamp::of_path(&file).ok());
-            for buffer in self.buffer_files(&file) {
+            for buffer in self.further_files(&file) {
                 stamps.add(&buffer, FileStamp::of_path(&buffer).ok());
             }
         }
@@ -161,7 +164,7 @@ impl ObstacleFiles {
         let mut loading_bytes: u64 = 0;
         for file in self.paths.iter().filter_map(|path| file_of(path, number).ok()) {
             if self.unchanged(&file).is_none() {
-                let files = self.buffer_files(&file).into_iter().chain([file.clone()]);
+                let files = self.further_files(&file).into_iter().chain([file.clone()]);
                 let sizes = files.map(|file| file.metadata().map_or(0, |metadata| metadata.len()));
                 let bytes = sizes.fold(0, u64::saturating_add).saturating_mul(loading_factor(&file));
                 loading_bytes = loading_bytes.saturating_add(bytes);
@@ -179,8 +182,8 @@ impl ObstacleFiles {
                     FoundObstacle { source, content: ObstacleContent::Loaded(obstacle) }
                 }
                 None => {
-                    let (source, bytes) = read(file)?;
-                    FoundObstacle { source, content: ObstacleContent::Bytes(bytes) }
+                    let (source, read) = read(file, number)?;
+                    FoundObstacle { source, content: ObstacleContent::Read(read) }
                 }
             })
         });
@@ -202,14 +205,18 @@ impl ObstacleFiles {
             let path = source.path.clone();
             let obstacle = match content {
                 ObstacleContent::Loaded(obstacle) => obstacle,
-                ObstacleContent::Bytes(bytes) => {
-                    let shape = parse(&path, bytes, memory_bytes.saturating_sub(all.all_bytes))?;
+                // All its meshes may be hidden in this frame.
+                ObstacleContent::Read(ReadObstacle::Meshes(meshes)) if meshes.triangles.is_empty() => {
+                    continue;
+                }
+                ObstacleContent::Read(read) => {
+                    let shape = parse(&path, read, memory_bytes.saturating_sub(all.all_bytes))?;
                     let findings = findings_of(&shape, settings);
                     require_volume(&path, &findings)?;
                     let about = |finding| Warning::Obstacle { path: path.clone(), finding };
                     all.warnings.extend(findings.into_iter().map(about));
                     let obstacle = Arc::new(Obstacle::new(shape, cache_bytes_max));
-                    if self.paths.contains(&path) {
+                    if self.paths.contains(&path) && !source.is_animated {
                         let loaded = LoadedObstacle { source, obstacle: Arc::clone(&obstacle) };
                         lock(&self.loaded).insert(path.clone(), loaded);
                     } else {
@@ -232,21 +239,22 @@ impl ObstacleFiles {
         loaded.filter(|loaded| loaded.source.is_unchanged())
     }
 
-    /// The buffer files of an obstacle; empty if the obstacle cannot be read at present.
-    fn buffer_files(&self, path: &Path) -> Vec<PathBuf> {
-        if !may_have_buffers(path) {
+    /// The further files of an obstacle; empty if the obstacle cannot be read at present.
+    fn further_files(&self, path: &Path) -> Vec<PathBuf> {
+        if !may_have_further_files(path) {
             return Vec::new();
         }
-        if let Some((stamp, files)) = lock(&self.buffers).get(path)
-            && FileStamp::of_path(path).is_ok_and(|now| now == *stamp)
-        {
-            return files.clone();
-        }
-        let Ok(Some((bytes, stamp))) = read_unchanged(path) else { return Vec::new() };
-        let buffers = buffers_of(path, &bytes).unwrap_or_default();
-        let files: Vec<PathBuf> = buffers.iter().map(|buffer| path.with_file_name(&buffer.path)).collect();
-        lock(&self.buffers).insert(path.to_owned(), (stamp, files.clone()));
-        files
+        let stamp_of = |file: &Path| FileStamp::of_path(file).ok();
+        let known = lock(&self.further).get(path).cloned();
+        let is_current = |known: &StampedFiles| known.iter().all(|(file, stamp)| stamp_of(file) == *stamp);
+        let files = known.filter(is_current).unwrap_or_else(|| {
+            let own = (path.to_owned(), stamp_of(path));
+            let further = further_files(path).into_iter().map(|file| (file.clone(), stamp_of(&file)));
+            let files: StampedFiles = [own].into_iter().chain(further).collect();
+            lock(&self.further).insert(path.to_owned(), files.clone());
+            files
+        });
+        files.into_iter().skip(1).map(|(file, _)| file).collect()
     }
 }
 
