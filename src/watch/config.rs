@@ -64,9 +64,8 @@ impl Watch {
     }
 }
 
-/// Whether a pattern selects level sets: only a pattern that ends in `.vdb` does. Other patterns skip .vdb
-/// files, because these may be outputs, of this daemon or of another program, which must not be converted
-/// again.
+/// Whether a pattern selects level sets: only a pattern that ends in `.vdb` does. Other patterns skip them,
+/// because they may be outputs, of this daemon or of another program, which must not be converted again.
 pub fn names_level_sets(pattern: Option<&str>) -> bool {
     pattern.is_some_and(|pattern| is_level_set(Path::new(pattern)))
 }

@@ -18,9 +18,9 @@ use meniscus_formats::{Completeness, Neighbor, completeness};
 
 use crate::pipeline::{
     ChangedOutput, Conflict, FileId, FileStamp, ObstacleFiles, ObstacleStamps, SniffedContent, content,
-    may_hold_several, open_regular,
+    is_level_set, may_hold_several, open_regular,
 };
-use crate::watch::config::{Poll, StabilityTimeouts, Watch, WatchConfig, names_lists};
+use crate::watch::config::{Poll, StabilityTimeouts, Watch, WatchConfig, names_level_sets, names_lists};
 use crate::watch::core::completeness::{
     Candidate, FileHint, Readiness, Sentinel, may_be_sentinel, path_of_sentinel, sentinel_counts,
 };
@@ -447,6 +447,16 @@ impl Root {
         }
         if changed_output.is_some() && !self.output.is_in_place() {
             return InspectionResult::OutputsAway;
+        }
+        if is_level_set(file) && !names_level_sets(self.watch.pattern.as_deref()) {
+            // It need not be complete to be left alone.
+            let contents = FileContents::NotParticles;
+            return InspectionResult::Complete(Complete {
+                proof: None,
+                changed_output,
+                contents,
+                conflict: None,
+            });
         }
         let mut proof = None;
         if let Some(mut candidate) = request.candidate {
