@@ -144,11 +144,6 @@ fn refuse_other_format(bytes: &[u8]) -> Result<(), Error> {
     }
     let what = match probe(bytes, "") {
         Probe { kind: ProbedKind::Format(Format::Vdb), codec: None } => return Ok(()),
-        Probe { kind: ProbedKind::Format(Format::VdbPoints), .. } => {
-            "the file has points, and a --pattern that ends in .vdb selects level sets: leave it out, or give one such as \
-             'dam.*'"
-                .to_owned()
-        }
         Probe { codec: Some(codec), .. } => format!("the file is {}: decompress it", codec.adjective()),
         // What is not recognised may be a damaged file.
         Probe { kind: ProbedKind::Unknown, codec: None } => return Ok(()),

@@ -20,7 +20,7 @@ use crate::pipeline::{
     ChangedOutput, Conflict, FileId, FileStamp, ObstacleFiles, ObstacleStamps, SniffedContent, content,
     is_level_set, may_hold_several, open_regular,
 };
-use crate::watch::config::{Poll, StabilityTimeouts, Watch, WatchConfig, names_level_sets, names_lists};
+use crate::watch::config::{Poll, StabilityTimeouts, Watch, WatchConfig, names_lists};
 use crate::watch::core::completeness::{
     Candidate, FileHint, Readiness, Sentinel, may_be_sentinel, path_of_sentinel, sentinel_counts,
 };
@@ -448,7 +448,7 @@ impl Root {
         if changed_output.is_some() && !self.output.is_in_place() {
             return InspectionResult::OutputsAway;
         }
-        if is_level_set(file) && !names_level_sets(self.watch.pattern.as_deref()) {
+        if !self.watch.has_level_sets && is_level_set(file) {
             // It need not be complete to be left alone.
             let contents = FileContents::NotParticles;
             return InspectionResult::Complete(Complete {
@@ -525,6 +525,11 @@ fn contents_of(id: &FrameId, watch: &Watch) -> FileContents {
         Ok(SniffedContent::Neighbor(neighbor)) => return FileContents::Neighbor(neighbor),
         // An unreadable file counts as a frame: reading it reports what is wrong.
         Ok(SniffedContent::Particles | SniffedContent::OwnParticles) | Err(_) => {}
+    }
+    if watch.has_level_sets && !is_level_set(id.file_path()) {
+        let what =
+            "the file has points, and level sets are watched: give a --pattern that does not end in .vdb";
+        return FileContents::Unreadable(io::Error::other(what));
     }
     if id.is_step() {
         return FileContents::Frame;
