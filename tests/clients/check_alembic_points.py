@@ -5,8 +5,8 @@
                   not inherit; several Points, one of them hidden
     cyclic.abc    two samples per frame, ids only
 
-The expected positions, velocities and other attributes are those that the library computes, and so are the times. Runs in a separate Python, because the bindings contain
-their own copies of libraries.
+The expected positions, velocities and other attributes are those that the library computes, and so are the times.
+Runs in a separate Python, because the bindings contain their own copies of libraries.
 """
 
 import random
@@ -17,8 +17,9 @@ import numpy as np
 from alembic3d.Abc import IArchive, ISampleSelector, OArchive, WrapExistingFlag
 from alembic3d.AbcCoreAbstract import AcyclicFlag, TimeSampling, TimeSamplingType, TimeVector
 from alembic3d.AbcGeom import (
-    CreateVisibilityProperty, GeometryScope, GetVisibility, IFloatGeomParam, IInt32GeomParam, IPoints, IXform, OFloatGeomParam, OFloatGeomParamSample,
-    OInt32GeomParam, OInt32GeomParamSample, OPoints, OPointsSchemaSample, OXform, XformSample,
+    CreateVisibilityProperty, GeometryScope, GetVisibility, IFloatGeomParam, IInt32GeomParam, IPoints, IXform,
+    OFloatGeomParam, OFloatGeomParamSample, OInt32GeomParam, OInt32GeomParamSample, OPoints, OPointsSchemaSample, OXform,
+    XformSample,
 )
 
 from mesh_files import read_vertices

@@ -31,7 +31,8 @@ random = np.random.default_rng(50)
 
 
 def main():
-    check = Check(f"paraview: lists of files by VTK {vtk.vtkVersion.GetVTKVersion()}, pyevtk and meshio {meshio.__version__}")
+    versions = f"VTK {vtk.vtkVersion.GetVTKVersion()}, pyevtk and meshio {meshio.__version__}"
+    check = Check(f"paraview: lists of files by {versions}")
     shutil.rmtree(FOLDER, ignore_errors=True)
     FOLDER.mkdir(parents=True)
     for name, write in (("a.pvtp", parallel), ("a.pvtu", parallel), ("b.vtm", blocks), ("b.vtpd", blocks)):
