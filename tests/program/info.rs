@@ -330,8 +330,8 @@ fn particles_in_scenes_are_described() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fuzz/corpus");
     for (file, kind) in [
         ("abc/points.abc", "Alembic"),
-        ("usd/points.usda", "USD"),
-        ("usd/points.usdc", "USD"),
+        ("usd/points.usda", "USD text"),
+        ("usd/points.usdc", "binary USD"),
         ("usd/points.usdz", "USD"),
         ("hdf5/steps.h5part", "HDF5"),
         ("vdb_points/null_none.vdb", "OpenVDB points"),
