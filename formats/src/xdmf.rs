@@ -244,8 +244,7 @@ fn found_grids(text: &str, limits: &Limits) -> Result<Vec<FoundGrid>> {
                 }
             }
             XmlEvent::Start("include", _) => {
-                let what =
-                    "the file includes other files (xi:include), which is not supported: give those files";
+                let what = "it includes parts of another grid or file (xi:include), which is not supported";
                 return Err(unsupported(what));
             }
             _ => {}

@@ -115,8 +115,8 @@ class Particles:
 
 
 def read(path: str | os.PathLike[str]) -> Particles:
-    """Read particles from a file of any format that meniscus reads: PLY, BGEO, VTK, NumPy, LAMMPS, XYZ,
-    delimited text and more.
+    """Read particles from a file of any format that meniscus reads: PLY, BGEO, VTK and lists of its files, HDF5,
+    USD, Alembic, OpenVDB, PRT, JSON, NumPy, LAMMPS, XYZ, delimited text and more.
 
     The content determines the format, and the file may be compressed with gzip or zstd.
 

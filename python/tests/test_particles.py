@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,49 @@ def test_names_of_other_quantities_find_nothing(tmp_path):
     for name in ("object", "diameter"):
         with pytest.raises(KeyError, match="the attributes are: `phase`, `radius`"):
             particles[name]
+
+
+ROWS, IDS = "0 0 0 1 2 3 4 5 6", "7 8 9"
+VTK = f"# vtk DataFile Version 3.0\na\nASCII\nDATASET POLYDATA\nPOINTS 3 double\n{ROWS}\n"
+XDMF = "<DataItem Dimensions='{}' Precision='8' NumberType='{}' Format='XML'>{}</DataItem>".format
+TEXTS = {
+    "a.json": json.dumps({"positions": [[0, 0, 0], [1, 2, 3], [4, 5, 6]], "id": [7, 8, 9]}),
+    "a.vtk": f"{VTK}POINT_DATA 3\nSCALARS id int\nLOOKUP_TABLE default\n{IDS}\n",
+    "b.pvd": "<VTKFile type='Collection'><Collection><DataSet timestep='0.5' file='a.vtk'/></Collection></VTKFile>",
+    "c.vtk.series": json.dumps({"file-series-version": "1.0", "files": [{"name": "a.vtk", "time": 0.5}]}),
+    "d.xmf": f"<Xdmf><Domain><Grid><Geometry GeometryType='XYZ'>{XDMF('3 3', 'Float', ROWS)}</Geometry>"
+    f"<Attribute Name='id' Center='Node'>{XDMF('3', 'Int', IDS)}</Attribute></Grid></Domain></Xdmf>",
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_text_that_solvers_write_is_read(tmp_path, name):
+    for each, text in TEXTS.items():
+        (tmp_path / each).write_text(text)
+    particles = pm.read(tmp_path / name)
+    assert np.array_equal(particles.positions, [[0, 0, 0], [1, 2, 3], [4, 5, 6]]), particles.positions
+    assert particles["id"].tolist() == [7, 8, 9] and particles.roles["id"] == "id"
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "roles"),
+    [
+        ("prt/version_1_0.prt", 3, "id velocity"),
+        ("hdf5/records.h5", 6, "id velocity"),
+        ("hdf5/steps.h5part/step=2", 6, "id velocity"),
+        ("usd/points.usda", 20, "id kind radius velocity"),
+        ("usd/points.usdc", 20, "id kind radius velocity"),
+        ("usd/points.usdz", 20, "id kind radius velocity"),
+        ("abc/points.abc/step=1", 3, "radius"),
+        ("vdb_points/null_none.vdb", 4, "color id kind normal velocity"),
+    ],
+)
+def test_binary_files_of_solvers_are_read(name, count, roles):
+    from conftest import ROOT
+
+    particles = pm.read(ROOT / "tests" / "fuzz" / "corpus" / name)
+    assert len(particles) == count and np.isfinite(particles.positions).all()
+    assert sorted(set(particles.roles.values())) == roles.split()
 
 
 def test_text_columns_are_read(tmp_path):

@@ -39,6 +39,8 @@ pub struct Watch {
     /// A glob for the names of frames, or for their paths within the folder (see
     /// [`FileFilter::new`](super::selection::FileFilter::new)); any particle file by default.
     pub pattern: Option<String>,
+    /// Whether the frames are level sets, and not particles: see [`names_level_sets`].
+    pub has_level_sets: bool,
     /// The name of the file that marks a frame as complete; `{name}` and `{stem}` are replaced by those of
     /// the frame. If it is given, each frame waits for its sentinel. Otherwise `{stem}.done` proves
     /// completeness if it exists, but is not required.
@@ -55,7 +57,7 @@ pub struct Watch {
 impl Watch {
     /// The kind of job that converts its frames.
     pub fn job(&self) -> Job {
-        if names_level_sets(self.pattern.as_deref()) { Job::level_set(0.0) } else { Job::Surface }
+        if self.has_level_sets { Job::level_set(0.0) } else { Job::Surface }
     }
 
     /// Whether particles must be measured before its frames are converted.
@@ -64,11 +66,13 @@ impl Watch {
     }
 }
 
-/// Whether a pattern selects level sets: only a pattern that ends in `.vdb` does. Other patterns skip .vdb
-/// files, because these may be outputs, of this daemon or of another program, which must not be converted
-/// again.
-pub fn names_level_sets(pattern: Option<&str>) -> bool {
-    pattern.is_some_and(|pattern| is_level_set(Path::new(pattern)))
+/// Whether the frames of a folder are level sets: only a pattern that ends in `.vdb` selects them, unless the first
+/// file that matches it has points. Otherwise they are skipped, because they may be outputs, of this daemon or of
+/// another program, which must not be converted again.
+pub fn names_level_sets(folder: &Path, pattern: Option<&str>) -> bool {
+    let Some(pattern) = pattern.filter(|pattern| is_level_set(Path::new(pattern))) else { return false };
+    let all = format!("{}/{pattern}", glob::Pattern::escape(&folder.to_string_lossy()));
+    glob::glob(&all).into_iter().flatten().flatten().next().is_none_or(|first| is_level_set(&first))
 }
 
 /// Whether a pattern selects lists of files, such as `.pvd`: by its extension. Other patterns skip a list if each file

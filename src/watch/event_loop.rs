@@ -325,6 +325,7 @@ mod tests {
         Watch {
             input: folder.join(name),
             pattern: None,
+            has_level_sets: false,
             sentinel: None,
             outputs: OutputOptions::new(folder.join("out").join(name), &[OutputFormat::Obj]),
             choices: MethodOptions { spacing: Some(1.0), ..MethodOptions::default() },

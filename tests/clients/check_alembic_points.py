@@ -5,8 +5,8 @@
                   not inherit; several Points, one of them hidden
     cyclic.abc    two samples per frame, ids only
 
-The expected positions are those that the library computes. Runs in a separate Python, because the bindings contain
-their own copies of libraries.
+The expected positions, velocities and other attributes are those that the library computes, and so are the times.
+Runs in a separate Python, because the bindings contain their own copies of libraries.
 """
 
 import random
@@ -17,12 +17,13 @@ import numpy as np
 from alembic3d.Abc import IArchive, ISampleSelector, OArchive, WrapExistingFlag
 from alembic3d.AbcCoreAbstract import AcyclicFlag, TimeSampling, TimeSamplingType, TimeVector
 from alembic3d.AbcGeom import (
-    CreateVisibilityProperty, GeometryScope, GetVisibility, IPoints, IXform, OFloatGeomParam, OFloatGeomParamSample,
-    OInt32GeomParam, OInt32GeomParamSample, OPoints, OPointsSchemaSample, OXform, XformSample,
+    CreateVisibilityProperty, GeometryScope, GetVisibility, IFloatGeomParam, IInt32GeomParam, IPoints, IXform,
+    OFloatGeomParam, OFloatGeomParamSample, OInt32GeomParam, OInt32GeomParamSample, OPoints, OPointsSchemaSample, OXform,
+    XformSample,
 )
 
 from mesh_files import read_vertices
-from project import WORK, Check, convert
+from project import WORK, Check, convert, same_times
 
 FOLDER = WORK / "alembic-points"
 VARYING = GeometryScope.kVaryingScope
@@ -59,7 +60,8 @@ def compared(path, times):
                 worst = max(worst, abs(found[name] - values).max())
     if worst > 1e-5:
         faults.append(f"values differ by {worst:.1e}")
-    return f"{len(outputs)} frames, values differ by {worst:.1e}", faults
+    faults += same_times(path, list(times.values()))
+    return f"{len(outputs)} frames, {len(expected)} columns, values differ by {worst:.1e}", faults
 
 
 def library(path, time):
@@ -80,7 +82,13 @@ def library(path, time):
             columns["id"] = np.array(value.getIds())
             if value.getVelocities():
                 velocities = np.array([[v.x, v.y, v.z] for v in value.getVelocities()]) @ matrix[:3, :3]
-                columns.update(zip(("vx", "vy", "vz"), velocities.T))
+                columns.update(zip(("velocity_x", "velocity_y", "velocity_z"), velocities.T))
+                params = schema.getArbGeomParams()
+                # Widths are lengths, so a transform scales them.
+                scale = abs(np.linalg.det(matrix[:3, :3])) ** (1 / 3)
+                columns["width"] = scale * expanded(schema.getWidthsParam(), select)
+                columns["heat"] = expanded(IFloatGeomParam(params, "heat"), select)
+                columns["phase"] = expanded(IInt32GeomParam(params, "phase"), select)
             parts.append(columns)
         for index in range(node.getNumChildren()):
             visit(node.getChild(index), matrix)
@@ -88,6 +96,11 @@ def library(path, time):
     archive = IArchive(str(path))
     visit(archive.getTop(), np.eye(4))
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def expanded(param, select):
+    """The values of a parameter, with its indices resolved."""
+    return np.array(param.getExpandedValue(select).getVals(), dtype=float)
 
 
 def uniform(path):

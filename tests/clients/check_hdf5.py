@@ -4,14 +4,19 @@
     h5part          a group for each step: each is a frame
     openpmd         an iteration for each frame, with constants
     pysph           a dump by PySPH's own function, if the package is installed, else one of its layout
-    xdmf            an index of the frames in an HDF5 file
+    xdmf            indices of the frames in an HDF5 file, some of them by meshio
+
+Positions, velocities, ids and times must be equal.
 """
 
+import os
+
 import h5py
+import meshio
 import numpy as np
 
 from mesh_files import PLY_TYPES
-from project import WORK, Check, convert
+from project import WORK, Check, convert, same_times
 
 FOLDER = WORK / "hdf5"
 COUNT = 5000
@@ -20,9 +25,10 @@ COUNT = 5000
 def main():
     check = Check(f"hdf5: meniscus reads files by HDF5 {h5py.version.hdf5_version}")
     FOLDER.mkdir(parents=True, exist_ok=True)
-    for write in (gadget, swift, h5part, openpmd, pysph, xdmf):
-        path, frames = write()
-        check.line(*compared(path, frames))
+    for write in (gadget, swift, h5part, openpmd, pysph, xdmf, *map(xdmf_of_meshio, ("HDF", "Binary"))):
+        path, frames, times = write()
+        label, figures, faults = compared(path, frames)
+        check.line(label, figures, faults + same_times(path, times))
     check.end()
 
 
@@ -71,7 +77,7 @@ def gadget():
             group = file.create_group(f"PartType{kind}")
             group["Coordinates"], group["Velocities"], group["ParticleIDs"] = particles(kind)
         file.create_group("Header").attrs["Time"] = 0.5
-    return path, [0]
+    return path, [0], [0.5]
 
 
 def swift():
@@ -85,7 +91,7 @@ def swift():
         for index in range(20):
             group.create_dataset(f"Extra{index}", data=np.zeros(COUNT, ">i2"), chunks=(100,))
         file["GasParticles"] = h5py.SoftLink("/PartType0")
-    return path, [2]
+    return path, [2], [None]
 
 
 def h5part():
@@ -97,7 +103,7 @@ def h5part():
             position, velocity, group["id"] = particles(step)
             for axis, x, v in zip("xyz", position.T, velocity.T):
                 group[axis], group["v" + axis] = x, v
-    return path, steps
+    return path, steps, [step / 10 for step in steps]
 
 
 def openpmd():
@@ -112,7 +118,7 @@ def openpmd():
                 group[f"position/{axis}"], group[f"velocity/{axis}"] = x, v
                 group.create_group(f"positionOffset/{axis}").attrs.update(value=0.0, shape=[COUNT])
             group.create_group("mass").attrs.update(value=0.5, shape=[COUNT])
-    return path, steps
+    return path, steps, [step * 0.1 for step in steps]
 
 
 def pysph():
@@ -133,7 +139,7 @@ def pysph():
                 for key, values in arrays.items():
                     file.create_dataset(f"particles/{name}/arrays/{key}", data=values, compression="gzip")
             file.create_group("solver_data").attrs["t"] = 0.25
-    return path, [3]
+    return path, [3], [0.25]
 
 
 def xdmf():
@@ -150,7 +156,23 @@ def xdmf():
             grids += "</Grid>"
     collection = f'<Grid GridType="Collection" CollectionType="Temporal">{grids}</Grid>'
     path.write_text(f'<?xml version="1.0"?><Xdmf Version="3.0"><Domain>{collection}</Domain></Xdmf>\n')
-    return path, steps
+    return path, steps, [step / 4 for step in steps]
+
+
+def xdmf_of_meshio(place):
+    """What writes an index with its data in this place."""
+
+    def write():
+        # meshio states the name of the other file as it was given.
+        os.chdir(FOLDER)
+        name = f"meshio_{place}.xdmf"
+        positions, velocities, ids = particles(4)
+        cells = [("vertex", np.arange(COUNT)[:, None])]
+        mesh = meshio.Mesh(positions, cells, point_data={"v": velocities, "id": ids})
+        meshio.xdmf.write(name, mesh, data_format=place)
+        return FOLDER / name, [4], [None]
+
+    return write
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from project import WORK, Check, convert
 FOLDER = WORK / "openvdb-points"
 LIBRARIES = ["-lopenvdb", "-ltbb", "-lImath-3_1", "-lboost_iostreams"]
 # The columns of vectors in a PLY.
-VECTORS = {"v": ["vx", "vy", "vz"], "N": ["nx", "ny", "nz"]}
+VECTORS = {name: [f"{name}_{axis}" for axis in "xyz"] for name in ("v", "N")}
 
 
 def main():

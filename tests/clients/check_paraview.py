@@ -1,9 +1,10 @@
-"""Checks that meniscus reads ParaView's lists of files, as VTK and pyevtk write them.
+"""Checks that meniscus reads ParaView's lists of files, as VTK, pyevtk and meshio write them.
 
     .pvtp .pvtu   three pieces of one frame
     .vtm .vtpd    blocks and partitions, one of them without particles
-    .pvd          three times, each of a .vtu, by pyevtk; and each of a .pvtp, as solvers write it
-    .vtp.series   three times
+    .pvd          three times, each of a .vtu, by pyevtk and by meshio; and each of a .pvtp, as solvers write it
+    .vtp.series   three times, by VTK
+    .vtk.series   three times, by meshio
 
 Every frame is written as PLY by `meniscus convert --particles-only`. Positions, velocities and ids must be equal to the
 last bit, in the order of the pieces, and the times must be those that were written.
@@ -11,8 +12,8 @@ last bit, in the order of the pieces, and the times must be those that were writ
 
 import json
 import shutil
-import subprocess
 
+import meshio
 import numpy as np
 import vtk
 from pyevtk.hl import pointsToVTK
@@ -21,7 +22,7 @@ from vtk.util.numpy_support import numpy_to_vtk
 from vtk.util.vtkAlgorithm import VTKPythonAlgorithmBase
 
 from mesh_files import read_vertices
-from project import PROGRAM, WORK, Check, convert
+from project import WORK, Check, convert, same_times
 
 FOLDER = WORK / "paraview"
 COUNT = 1000
@@ -30,14 +31,21 @@ random = np.random.default_rng(50)
 
 
 def main():
-    check = Check(f"paraview: lists of files by VTK {vtk.vtkVersion.GetVTKVersion()} and pyevtk")
+    versions = f"VTK {vtk.vtkVersion.GetVTKVersion()}, pyevtk and meshio {meshio.__version__}"
+    check = Check(f"paraview: lists of files by {versions}")
     shutil.rmtree(FOLDER, ignore_errors=True)
     FOLDER.mkdir(parents=True)
     for name, write in (("a.pvtp", parallel), ("a.pvtu", parallel), ("b.vtm", blocks), ("b.vtpd", blocks)):
         particles = some_particles()
         write(FOLDER / name, particles)
         check.line(name, *compared(FOLDER / name, {FOLDER / name: particles}, [None]))
-    for name, write in (("c.pvd", collection_of_pyevtk), ("d.pvd", collection_of_pieces), ("e.vtp.series", series)):
+    for name, write in (
+        ("c.pvd", collection_of_pyevtk),
+        ("d.pvd", lambda path, steps: collection(path, steps, "pvtp", parallel)),
+        ("e.vtp.series", lambda path, steps: series(path, steps, by_vtk)),
+        ("f.vtk.series", lambda path, steps: series(path, steps, by_meshio)),
+        ("g.pvd", lambda path, steps: collection(path, steps, "vtu", by_meshio)),
+    ):
         steps = [some_particles() for _ in TIMES]
         write(FOLDER / name, steps)
         expected = {FOLDER / name / f"step={index}": particles for index, particles in enumerate(steps)}
@@ -150,24 +158,35 @@ def collection_of_pyevtk(path, steps):
     group.save()
 
 
-def collection_of_pieces(path, steps):
+def by_vtk(path, particles):
+    write_one(vtk.vtkXMLPolyDataWriter(), path, poly_data(particles))
+
+
+def by_meshio(path, particles):
+    data = {name: particles[name] for name in ("v", "id")}
+    meshio.Mesh(particles["position"], [("vertex", np.arange(COUNT)[:, None])], point_data=data).write(path)
+
+
+def collection(path, steps, ending, write):
     folder = path.with_suffix("")
     folder.mkdir()
     for index, particles in enumerate(steps):
-        parallel(folder / f"d_{index}.pvtp", particles)
+        write(folder / f"{folder.name}_{index}.{ending}", particles)
     entries = [
-        f'<DataSet timestep="{time}" group="" part="0" file="{folder.name}/d_{index}.pvtp"/>'
+        f'<DataSet timestep="{time}" group="" part="0" file="{folder.name}/{folder.name}_{index}.{ending}"/>'
         for index, time in enumerate(TIMES)
     ]
     text = f'<VTKFile type="Collection" version="0.1"><Collection>{"".join(entries)}</Collection></VTKFile>\n'
     path.write_text(text)
 
 
-def series(path, steps):
+def series(path, steps, write):
+    stem, ending, _ = path.name.split(".")
     files = []
     for index, particles in enumerate(steps):
-        write_one(vtk.vtkXMLPolyDataWriter(), path.with_name(f"e_{index}.vtp"), poly_data(particles))
-        files.append({"name": f"e_{index}.vtp", "time": TIMES[index]})
+        name = f"{stem}_{index}.{ending}"
+        write(path.with_name(name), particles)
+        files.append({"name": name, "time": TIMES[index]})
     path.write_text(json.dumps({"file-series-version": "1.0", "files": files}))
 
 
@@ -187,15 +206,7 @@ def compared(path, expected, times):
             read = np.stack([found[column] for column in names], axis=1)
             if not np.array_equal(read, particles[name].reshape(len(read), -1)):
                 faults.append(f"{name} of {frame.name} differs")
-    found = times_of(path)
-    if found != times:
-        faults.append(f"the times are {found}")
-    return f"{len(expected)} frames, {COUNT} particles each", faults
-
-
-def times_of(path):
-    ran = subprocess.run([str(PROGRAM), "info", "--json", str(path)], capture_output=True, text=True, timeout=600)
-    return [frame.get("time") for frame in json.loads(ran.stdout)]
+    return f"{len(expected)} frames, {COUNT} particles each", faults + same_times(path, times)
 
 
 def without_a_piece(path):

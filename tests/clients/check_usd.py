@@ -4,7 +4,8 @@
     moving     time samples: each is a frame
     composed   sublayers, references, payloads and variants; the same as a package
 
-The positions of `convert --particles-only` are those that OpenUSD computes. `info` shows the attributes.
+Positions, velocities, ids and other attributes are those that OpenUSD computes, and so are the times. `info` shows
+the text, which PLY has not.
 """
 
 import shutil
@@ -14,7 +15,7 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdUtils, Vt
 
 from mesh_files import read_vertices
-from project import PROGRAM, WORK, Check, convert
+from project import PROGRAM, WORK, Check, convert, same_times
 
 FILES = WORK / "usd"
 COUNT = 500
@@ -111,21 +112,29 @@ def composed(path):
     stage.Save()
 
 
-def expected_positions(path):
-    """The positions of each frame, by its number."""
-    stage = Usd.Stage.Open(str(path))
+def columns_of(prim, time):
+    """The visible particles of a prim, as columns of a PLY."""
+    matrix = np.array(prim.ComputeLocalToWorldTransform(time))
+    # Widths are lengths, so a transform scales them.
+    scale = abs(np.linalg.det(matrix[:3, :3])) ** (1 / 3)
+    columns = {"ids": prim.GetIdsAttr().Get(time), "widths": scale * np.array(prim.GetWidthsAttr().Get(time))}
+    columns |= zip("xyz", (np.array(prim.GetPointsAttr().Get(time), float) @ matrix[:3, :3] + matrix[3, :3]).T)
+    velocities = np.array(prim.GetVelocitiesAttr().Get(time), float) @ matrix[:3, :3]
+    columns |= {f"velocities_{axis}": values for axis, values in zip("xyz", velocities.T)}
+    primvars = UsdGeom.PrimvarsAPI(prim)
+    columns |= {name: primvars.GetPrimvar(name).Get(time) for name in ("half", "double", "few", "int")}
+    return {name: np.array(values, float) for name, values in columns.items()}
+
+
+def expected_columns(stage):
+    """The columns of each frame, by its number."""
     prims = [UsdGeom.Points(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.Points)]
     codes = sorted({code for prim in prims for code in prim.GetPointsAttr().GetTimeSamples()})
     frames = {}
     for code in codes or [None]:
         time = Usd.TimeCode.Default() if code is None else Usd.TimeCode(code)
-        parts = []
-        for prim in prims:
-            if prim.ComputeVisibility(time) != "invisible":
-                matrix = np.array(prim.ComputeLocalToWorldTransform(time))
-                points = np.array(prim.GetPointsAttr().Get(time), dtype=np.float64)
-                parts.append(points @ matrix[:3, :3] + matrix[3, :3])
-        frames[code] = np.concatenate(parts)
+        parts = [columns_of(prim, time) for prim in prims if prim.ComputeVisibility(time) != "invisible"]
+        frames[code] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return frames
 
 
@@ -135,19 +144,24 @@ def compared(path):
     if status != 0:
         return "could not be converted", [text]
     written = sorted(out.glob("*.ply"))
-    frames = expected_positions(path)
+    stage = Usd.Stage.Open(str(path))
+    frames = expected_columns(stage)
+    rate = stage.GetTimeCodesPerSecond()
+    faults += same_times(path, [None if code is None else code / rate for code in frames])
     if len(written) != len(frames):
         faults.append(f"{len(written)} frames, and OpenUSD has {len(frames)}")
-    for ply, (code, positions) in zip(written, sorted(frames.items(), key=lambda frame: frame[0] or 0)):
+    for ply, (code, columns) in zip(written, frames.items()):
         vertices = read_vertices(ply)
-        found = np.stack([vertices[axis].astype(float) for axis in "xyz"], axis=1)
-        if found.shape != positions.shape or abs(found - positions).max() > 1e-4:
-            faults.append(f"{ply.name}: its positions are not those at the time code {code}")
+        for name, values in columns.items():
+            found = vertices[name] if name in vertices.dtype.names else np.zeros(0)
+            if found.shape != values.shape or (abs(found - values) / (1 + abs(values))).max() > 1e-6:
+                faults.append(f"{ply.name}: {name} is not that at the time code {code}")
     shown = subprocess.run([PROGRAM, "info", "--json", path], capture_output=True, text=True, timeout=600)
     for name in ("velocities", "widths", "ids", "half", "double", "few", "int", "word"):
         if shown.stdout.count(f'"{name}"') != len(frames):
             faults.append(f"info does not show {name} of each frame")
-    return f"{len(frames)} frames of {len(next(iter(frames.values())))} particles", faults
+    first = next(iter(frames.values()))
+    return f"{len(frames)} frames of {len(first['x'])} particles, {len(first)} columns", faults
 
 
 if __name__ == "__main__":

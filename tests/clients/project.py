@@ -5,6 +5,7 @@ failures at its end, and then exits with status 1.
 """
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -52,6 +53,21 @@ def convert(inputs, out, *options):
             frame["settings"] = written["settings"][frame["settings"]]
             frames[Path(frame["input"]).name] = frame
     return ran.returncode, ran.stdout + ran.stderr, frames
+
+
+def times_of(path):
+    """The times of the frames of a file, in seconds; None for a frame without a time."""
+    ran = subprocess.run([str(PROGRAM), "info", "--json", str(path)], capture_output=True, text=True, timeout=600)
+    return [frame.get("time") for frame in json.loads(ran.stdout)]
+
+
+def same_times(path, expected):
+    """What is wrong with the times of the frames of a file, as a list."""
+    found = times_of(path)
+    are_same = len(found) == len(expected) and all(
+        one == other or None not in (one, other) and math.isclose(one, other) for one, other in zip(found, expected)
+    )
+    return [] if are_same else [f"the times are {found} and not {expected}"]
 
 
 def frame_of(output):

@@ -37,11 +37,11 @@ fn outputs_in_a_subfolder_of_the_watched_folder_are_not_inputs() {
 fn outputs_next_to_the_frames_are_not_inputs() {
     let scene = Scene::new();
     scene.write("in/dam.1.csv", csv(&moving(1)));
-    let arguments = ["watch", "in", "--out", "in", "--format", "ply", "--log", "json"];
+    let arguments = ["watch", "in", "--out", "in", "--format", "ply,vdb", "--log", "json"];
     for _ in 0..2 {
         let result = scene.run(&[&arguments[..], &QUICK, &["--once"]].concat());
         assert_eq!(result.status, Some(0), "{}", result.err);
-        assert_eq!(names_in(&scene.path("in")), [".meniscus", "dam.1.csv", "dam.1.ply"]);
+        assert_eq!(names_in(&scene.path("in")), [".meniscus", "dam.1.csv", "dam.1.ply", "dam.1.vdb"]);
     }
     let daemon = scene.start_as(&[&arguments[..], &QUICK].concat());
     daemon.await_ready();
@@ -51,7 +51,7 @@ fn outputs_next_to_the_frames_are_not_inputs() {
     daemon.await_converted("dam.3.csv");
     daemon.assert_no_complaints();
     assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
-    assert_eq!(names_in(&scene.path("in")).len(), 7);
+    assert_eq!(names_in(&scene.path("in")).len(), 10);
 }
 
 /// The daemon prints one line, before it reads any frame.

@@ -163,3 +163,36 @@ fn folder_at_the_path_of_an_output_fails_that_frame_only() {
     assert!(scene.path("out/dam.1.obj/full").is_dir());
     scene.assert_no_temporaries();
 }
+
+/// The content decides which `.vdb` files are frames: those with points, unless the pattern asks for level sets.
+#[test]
+fn points_in_vdb_are_frames_and_level_sets_are_not() {
+    let points = include_bytes!("../fuzz/corpus/vdb_points/null_none.vdb");
+    let level_set = include_bytes!("../fuzz/corpus/vdb_level_set/mask_full.vdb");
+    let scene = Scene::new();
+    let spaced = ["--format", "obj", "--spacing", "1"];
+    let arguments = [&QUICK[..], &spaced].concat();
+    scene.put("in/body.vdb", level_set);
+    scene.put("in/dam.1.vdb", points);
+    scene.write("in/dam.2.vdb", "");
+    let daemon = scene.watch(&arguments);
+    daemon.await_converted("dam.1.vdb");
+    // Its writer had only begun it.
+    scene.write("in/dam.2.vdb", points);
+    daemon.await_converted("dam.2.vdb");
+    let log = daemon.finish();
+    assert_eq!(log.iter().filter(|line| line.is_converted()).count(), 2);
+    assert!(!log.iter().any(|line| line.is_about("body.vdb") && line.is_complaint()), "{}", log_text(&log));
+    scene.remove("in/body.vdb");
+    scene.assert_as_converted(&spaced);
+    // The first file decides what the pattern means.
+    let patterned = ["--pattern", "*.vdb", "--format", "ply"];
+    let once = scene.once(&[&patterned[..], &["--spacing", "1"]].concat());
+    assert_eq!(once.converted(), ["dam.1.vdb", "dam.2.vdb"]);
+    scene.put("in/body.vdb", level_set);
+    let once = scene.once(&patterned);
+    once.assert_status(1);
+    assert_eq!(once.converted(), ["body.vdb"]);
+    let is_failure = |line: &Line| line.level == "ERROR" && line.message.contains("the file has points");
+    assert!(once.log.iter().any(is_failure), "{}", log_text(&once.log));
+}

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::io::Write;
+use std::path::Path;
 use std::process::Stdio;
 
 use flate2::Compression;
@@ -352,4 +353,26 @@ fn closed_output_is_not_an_error() {
     let output = child.wait_with_output().expect("the command ends");
     assert_eq!(output.status.code(), Some(0));
     assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+}
+
+/// `info` describes the particles of containers, also if files of their formats may have meshes.
+#[test]
+fn particles_in_scenes_are_described() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fuzz/corpus");
+    for (file, kind) in [
+        ("abc/points.abc", "Alembic"),
+        ("usd/points.usda", "USD text"),
+        ("usd/points.usdc", "binary USD"),
+        ("usd/points.usdz", "USD"),
+        ("hdf5/steps.h5part", "HDF5"),
+        ("vdb_points/null_none.vdb", "OpenVDB points"),
+    ] {
+        let result = meniscus(&folder, &["info", "--json", file]);
+        assert_eq!((result.status, &*result.err), (0, ""), "{file}");
+        let json: Value = serde_json::from_str(&result.out).expect("JSON");
+        for frame in json.as_array().expect("frames") {
+            assert_eq!(frame["kind"], kind, "{file}");
+            assert!(frame["particles"]["count"].as_u64() > Some(0), "{file}: {frame}");
+        }
+    }
 }

@@ -189,7 +189,9 @@ impl FileInfo {
     /// Describes the content of a file.
     fn fill_content(&mut self, path: &Path, bytes: &[u8]) -> Result<()> {
         let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
-        let Probe { kind, codec } = match format_of_packed(bytes) {
+        // The particles of a frame of a container.
+        let packed = format_of_packed(bytes);
+        let Probe { kind, codec } = match packed {
             Some(format) => Probe { kind: ProbedKind::Format(format), codec: None },
             None => probe(bytes, &name),
         };
@@ -200,8 +202,7 @@ impl FileInfo {
         self.made_by = if codec.is_none() { made_by(kind, bytes) } else { None };
         let limits = Limits::default();
         let is_surface = match kind.format() {
-            // Packed bytes are those of particles.
-            Some(_) if format_of_packed(bytes).is_some() => false,
+            _ if packed.is_some() => false,
             Some(format) if codec.is_none() => self.fill_surface(format, bytes, &name, &limits)?,
             Some(format) if has_only_mesh(format) => {
                 self.mesh = Some(MeshInfo::of(&read_mesh_alone(bytes, &name, &limits)?));
@@ -267,6 +268,10 @@ impl FileInfo {
                     self.mesh = Some(mesh.with_attributes(&gltf::read_attributes(bytes, limits)?));
                 }
             },
+            // Other programs write no summary.
+            Format::Usda | Format::Usdc if self.made_by.is_none() => {
+                self.mesh = Some(MeshInfo::of(&read_mesh_alone(bytes, name, limits)?));
+            }
             Format::Usda => match usda::read_layer_info(bytes)? {
                 Some(info @ usda::LayerInfo { frames: Some(frames), .. }) => {
                     self.set_sequence(sequence_of(info, frames), usda::read_attribute_names(bytes));

@@ -27,7 +27,7 @@ use crate::pipeline::{FrameFile, files_in, stop_writing};
 use crate::surface::simd::level_warning;
 use crate::watch::selection::FileFilter;
 use crate::watch::status_store::StatusStore;
-use crate::watch::{self, EndReason, FailedFrame, Notice, Watch, WatchSummary, names_level_sets};
+use crate::watch::{self, EndReason, FailedFrame, Notice, Watch, WatchSummary};
 
 use super::CommandOutcome;
 use super::args::WatchArgs;
@@ -163,7 +163,7 @@ fn reason(watch: &Watch) -> Option<String> {
     let Some(pattern) = &watch.pattern else { return level_sets_left_alone(level_sets.len()) };
     let filter = FileFilter::new(Some(pattern), Vec::new()).ok()?;
     let is_taken = |file: &FrameFile| filter.takes(&watch.input, &file.path);
-    if names_level_sets(Some(pattern)) {
+    if watch.has_level_sets {
         // Level sets of other programs would be frames.
         let own_count = level_sets.iter().filter(|file| is_taken(file)).count();
         if own_count > 0 {

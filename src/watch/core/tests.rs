@@ -57,6 +57,7 @@ fn config(root_count: usize, choices: &MethodOptions) -> WatchConfig {
     let watch = |root: usize| Watch {
         input: format!("/in{root}").into(),
         pattern: None,
+        has_level_sets: false,
         sentinel: None,
         outputs: OutputOptions::new(format!("/out{root}"), &[OutputFormat::Glb]),
         choices: choices.clone(),

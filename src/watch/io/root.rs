@@ -18,7 +18,7 @@ use meniscus_formats::{Completeness, Neighbor, completeness};
 
 use crate::pipeline::{
     ChangedOutput, Conflict, FileId, FileStamp, ObstacleFiles, ObstacleStamps, SniffedContent, content,
-    may_hold_several, open_regular,
+    is_level_set, may_hold_several, open_regular,
 };
 use crate::watch::config::{Poll, StabilityTimeouts, Watch, WatchConfig, names_lists};
 use crate::watch::core::completeness::{
@@ -448,6 +448,16 @@ impl Root {
         if changed_output.is_some() && !self.output.is_in_place() {
             return InspectionResult::OutputsAway;
         }
+        if !self.watch.has_level_sets && is_level_set(file) {
+            // It need not be complete to be left alone.
+            let contents = FileContents::NotParticles;
+            return InspectionResult::Complete(Complete {
+                proof: None,
+                changed_output,
+                contents,
+                conflict: None,
+            });
+        }
         let mut proof = None;
         if let Some(mut candidate) = request.candidate {
             candidate.see(at, &seen, FileHint::Changed);
@@ -515,6 +525,11 @@ fn contents_of(id: &FrameId, watch: &Watch) -> FileContents {
         Ok(SniffedContent::Neighbor(neighbor)) => return FileContents::Neighbor(neighbor),
         // An unreadable file counts as a frame: reading it reports what is wrong.
         Ok(SniffedContent::Particles | SniffedContent::OwnParticles) | Err(_) => {}
+    }
+    if watch.has_level_sets && !is_level_set(id.file_path()) {
+        let what =
+            "the file has points, and level sets are watched: give a --pattern that does not end in .vdb";
+        return FileContents::Unreadable(io::Error::other(what));
     }
     if id.is_step() {
         return FileContents::Frame;

@@ -10,8 +10,9 @@
 //! The folder of the outputs is excluded if it lies in the watched folder. But it may also be the watched
 //! folder itself, or contain it: then frames and outputs lie side by side, and only their
 //! [content](crate::pipeline::content()) can distinguish them. So, of the watched and the excluded folders
-//! that contain a file, the innermost decides whether the file is excluded. Level sets (.vdb) are taken only
-//! if the pattern ends in `.vdb`, and never if this program wrote them.
+//! that contain a file, the innermost decides whether the file is excluded. The content also distinguishes level
+//! sets from points in `.vdb`: level sets are frames only if the pattern ends in `.vdb`, and never if this program
+//! wrote them.
 
 use std::ffi::OsStr;
 use std::fmt;
@@ -19,9 +20,7 @@ use std::path::{Path, PathBuf};
 
 use glob::{MatchOptions, Pattern};
 
-use crate::pipeline::{has_particle_extension, is_level_set};
-
-use crate::watch::config::names_level_sets;
+use crate::pipeline::has_particle_extension;
 
 /// Selects files by name.
 #[derive(Clone, Debug)]
@@ -76,9 +75,6 @@ impl FileFilter {
     /// Whether the path of a file within the root selects it.
     pub(crate) fn takes_name(&self, within: &Path) -> bool {
         let name = within.file_name().unwrap_or_default().to_string_lossy();
-        if is_level_set(within) && !names_level_sets(self.pattern.as_ref().map(Pattern::as_str)) {
-            return false;
-        }
         match &self.pattern {
             None => has_particle_extension(&name),
             Some(pattern) if takes_any(pattern) => {
@@ -159,9 +155,8 @@ mod tests {
             (Some("**/dam.*"), "/frames/dam.0001", true),
             (Some("*"), "/frames/.dam.1.ply", false),
             (Some(".*"), "/frames/.dam.1.ply", false),
-            (None, "/frames/dam.1.vdb", false),
-            (Some("*"), "/frames/dam.1.vdb", false),
-            (Some("dam.*"), "/frames/dam.1.vdb", false),
+            (None, "/frames/dam.1.vdb", true),
+            (Some("dam.*"), "/frames/dam.1.vdb", true),
             (Some("dam.*.vdb"), "/frames/dam.1.vdb", true),
             (Some("**/*.vdb"), "/frames/b/dam.1.VDB", false),
             (Some("*.vdb"), "/frames/dam.1.ply", false),

@@ -151,7 +151,8 @@ fn check_output(output: &Path) -> Result<()> {
 
 fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<String>) -> Result<Watch> {
     let choices = frames.method.to_options();
-    if names_level_sets(frames.pattern.as_deref()) {
+    let has_level_sets = names_level_sets(input, frames.pattern.as_deref());
+    if has_level_sets {
         refuse_options(&frames.method, Use::AsItIs)?;
         Settings::for_level_sets(&choices)?;
     } else if choices.needs_measuring() {
@@ -177,6 +178,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
     Ok(Watch {
         input: absolute(input)?,
         pattern: frames.pattern.clone(),
+        has_level_sets,
         sentinel: frames.sentinel.clone(),
         outputs,
         choices,
