@@ -3,6 +3,7 @@
     still      points, widths, velocities, ids and primvars of all types, below transforms
     moving     time samples: each is a frame
     composed   sublayers, references, payloads and variants; the same as a package
+    houdini    a .usdc as Houdini exports points with attributes of 16 bits: compressed numbers and tables, vectors
 
 The positions of `convert --particles-only` are those that OpenUSD computes. `info` shows the attributes.
 """
@@ -33,6 +34,10 @@ def main():
     for name, first in (("composed.usdz", "composed.usda"), ("moving.usdz", "moving.usdc")):
         UsdUtils.CreateNewUsdzPackage(str(FILES / first), str(FILES / name))
         check.line(name, *compared(FILES / name))
+    path = FILES / "houdini.usdc"
+    houdini(path)
+    check.line(path.name, *compared(path))
+    check.line("houdini: attributes", *same_attributes(path))
     check.end()
 
 
@@ -109,6 +114,57 @@ def composed(path):
             add_points(stage, "/Varying/water", count)
     sets.SetVariantSelection("small")
     stage.Save()
+
+
+HOUDINI_COUNT = 3000
+HOUDINI_CODES = [1001, 1002, 1003]
+HOUDINI_POINTS = "/sopimport1/points_0"
+
+
+def houdini_attributes(code):
+    """Names, types and values at a time code. Few distinct widths become a table, and whole ages compressed integers."""
+    random, types = np.random.default_rng(code), Sdf.ValueTypeNames
+    vectors = random.random((2, HOUDINI_COUNT, 3)).astype(np.float16)
+    widths = np.array([0.1, 0.2, 0.25], np.float16)[random.integers(0, 3, HOUDINI_COUNT)]
+    ages = random.integers(0, 900, HOUDINI_COUNT).astype(np.float16)
+    return {
+        "velocities": (types.Vector3hArray, vectors[0], Vt.Vec3hArray),
+        "primvars:Cd": (types.Color3hArray, vectors[1], Vt.Vec3hArray),
+        "widths": (types.HalfArray, widths, Vt.HalfArray),
+        "primvars:age": (types.HalfArray, ages, Vt.HalfArray),
+        "ids": (types.Int64Array, random.permutation(HOUDINI_COUNT) + 2**40, Vt.Int64Array),
+    }
+
+
+def houdini(path):
+    stage = Usd.Stage.CreateNew(str(path))
+    stage.SetTimeCodesPerSecond(24)
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    UsdGeom.SetStageMetersPerUnit(stage, 1)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/sopimport1").GetPrim())
+    points, layer = UsdGeom.Points.Define(stage, HOUDINI_POINTS), stage.GetRootLayer()
+    # The schema has 32 bits for widths and velocities, so these are written into the layer.
+    for name, (kind, _, _) in houdini_attributes(0).items():
+        Sdf.AttributeSpec(layer.GetPrimAtPath(HOUDINI_POINTS), name, kind).SetInfo("interpolation", "vertex")
+    for code in HOUDINI_CODES:
+        positions = np.random.default_rng(code + 1000).random((HOUDINI_COUNT, 3)).astype(np.float32)
+        points.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(positions), code)
+        for name, (_, values, array) in houdini_attributes(code).items():
+            layer.SetTimeSample(f"{HOUDINI_POINTS}.{name}", code, array.FromNumpy(values))
+    stage.Save()
+
+
+def same_attributes(path):
+    """Compares the attributes in the .ply of each frame with those that were written."""
+    faults = []
+    for code in HOUDINI_CODES:
+        vertices = read_vertices(FILES / "out" / path.name / f"houdini.{code}.ply")
+        for name, (_, values, _) in houdini_attributes(code).items():
+            name = name.removeprefix("primvars:")
+            columns = [name] if values.ndim == 1 else [f"{name}_{axis}" for axis in "xyz"]
+            if not all(map(np.array_equal, [vertices[column] for column in columns], np.atleast_2d(values.T))):
+                faults.append(f"other {name} at the time code {code}")
+    return f"{len(houdini_attributes(0))} attributes in {len(HOUDINI_CODES)} frames", faults
 
 
 def expected_positions(path):
