@@ -5,7 +5,8 @@
     composed   sublayers, references, payloads and variants; the same as a package
     houdini    a .usdc as Houdini exports points with attributes of 16 bits: compressed numbers and tables, vectors
 
-The positions of `convert --particles-only` are those that OpenUSD computes. `info` shows the attributes.
+The positions of `convert --particles-only` are those that OpenUSD computes. `info` shows the attributes. The
+frames of the last become surfaces.
 """
 
 import shutil
@@ -38,6 +39,8 @@ def main():
     houdini(path)
     check.line(path.name, *compared(path))
     check.line("houdini: attributes", *same_attributes(path))
+    status, text, frames = convert([path], FILES / "surfaces", "--format", "ply")
+    check.line("houdini: surfaces", f"{len(frames)} frames", [] if status == 0 and len(frames) == 3 else [text])
     check.end()
 
 
