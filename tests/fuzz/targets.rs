@@ -9,7 +9,8 @@
 //! A target panics if a condition fails that must hold for any bytes. Two programs call the targets: the test
 //! next to this file, and `long`, which uses libFuzzer to search for bytes that reach new code.
 
-use std::io::{self, Cursor, Read, Write};
+use std::cell::Cell;
+use std::io::{self, Cursor, ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpStream};
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
@@ -191,12 +192,22 @@ fn steps(kind: ProbedKind, bytes: &[u8], read: fn(&[u8], &Limits) -> Result<Part
 type ReadSamples = fn(&ContainerFile, &Limits) -> Result<Vec<Sample>>;
 type ReadSample = fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame>;
 
-/// Reads the first frames of a container. Each file that it names has the bytes `further`.
+/// Reads the first frames of a container. The first files that each names have the bytes `further`; the memory
+/// for these counts once.
 fn container(bytes: &[u8], further: &[u8], samples: ReadSamples, read: ReadSample) {
-    let open = |_: &str| Ok(Box::new(Arc::<[u8]>::from(further)) as Box<dyn ReadAt>);
+    const OPENED_MAX: usize = 2;
+    let opened = Cell::new(0);
+    let open = |_: &str| {
+        opened.set(opened.get() + 1);
+        let is_there = opened.get() <= OPENED_MAX;
+        is_there
+            .then(|| Box::new(Arc::<[u8]>::from(further)) as Box<dyn ReadAt>)
+            .ok_or(ErrorKind::NotFound.into())
+    };
     let file = ContainerFile { file: &bytes, name: "f", open: &open };
     let count = samples(&file, &limits()).map_or(1, |samples| samples.len());
     for index in 0..count.min(3) {
+        opened.set(0);
         checked(read(&file, index, &limits()));
     }
 }
