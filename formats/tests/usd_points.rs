@@ -182,6 +182,24 @@ fn references_that_multiply_are_refused() {
     assert!(matches!(read(text.as_bytes()), Err(Error::TooLarge { .. })));
 }
 
+/// Each prim has a point and two references to the next one. Few levels are read; a few kilobytes cannot become
+/// a hundred thousand prims.
+#[test]
+fn references_that_double_prims_are_read_within_limits() {
+    let stage = |levels: usize| {
+        let mut text = "#usda 1.0\n".to_owned();
+        for level in 0..levels {
+            let child = |name: &str| format!("def \"{name}\" ( references = </l{}> ) {{}}\n", level + 1);
+            text += &format!("def \"l{level}\" {{ {ONE_POINT} {} {} }}\n", child("a"), child("b"));
+        }
+        format!("{text} def \"l{levels}\" {{}}")
+    };
+    assert_eq!(read(stage(5).as_bytes()).expect("few prims").positions.len(), 31 + 15 + 7 + 3 + 1);
+    assert!(matches!(read(stage(15).as_bytes()), Err(Error::TooLarge { .. })));
+}
+
+const ONE_POINT: &str = "def Points \"p\" { point3f[] points = [(1, 2, 3)] }";
+
 #[test]
 fn packages_with_compressed_files_are_refused() {
     let text = usda_points().into_bytes();

@@ -3,7 +3,7 @@
     gadget, swift   PartType0; old and new groups, chunks that grow, gzip, shuffle and checksums
     h5part          a group for each step: each is a frame
     openpmd         an iteration for each frame, with constants
-    pysph           a dump by PySPH's own function, if the package is installed, else one of its layout
+    pysph           arrays in groups by their names; check_solvers.py reads files by PySPH itself
     xdmf            indices of the frames in an HDF5 file, some of them by meshio
 
 Positions, velocities, ids and times must be equal.
@@ -125,20 +125,11 @@ def pysph():
     path = FOLDER / "pysph_0.hdf5"
     position, velocity, ids = particles(3)
     columns = dict(zip("xyzuvw", [*position.T, *velocity.T.astype(float)]), id=ids)
-    try:
-        from pysph.base.utils import get_particle_array
-        from pysph.solver.utils import dump
-
-        fluid = get_particle_array(name="fluid", **columns)
-        fluid.add_output_arrays(["id"])
-        wall = get_particle_array(name="boundary", x=np.arange(9.0))
-        dump(str(path.with_suffix("")), [wall, fluid], {"t": 0.25, "dt": 0.01, "count": 3})
-    except ImportError:
-        with h5py.File(path, "w") as file:
-            for name, arrays in (("boundary", {axis: np.zeros(9) for axis in "xyz"}), ("fluid", columns)):
-                for key, values in arrays.items():
-                    file.create_dataset(f"particles/{name}/arrays/{key}", data=values, compression="gzip")
-            file.create_group("solver_data").attrs["t"] = 0.25
+    with h5py.File(path, "w") as file:
+        for name, arrays in (("boundary", {axis: np.zeros(9) for axis in "xyz"}), ("fluid", columns)):
+            for key, values in arrays.items():
+                file.create_dataset(f"particles/{name}/arrays/{key}", data=values, compression="gzip")
+        file.create_group("solver_data").attrs["t"] = 0.25
     return path, [3], [0.25]
 
 

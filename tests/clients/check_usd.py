@@ -3,9 +3,10 @@
     still      points, widths, velocities, ids and primvars of all types, below transforms
     moving     time samples: each is a frame
     composed   sublayers, references, payloads and variants; the same as a package
+    houdini    a .usdc as Houdini exports points with attributes of 16 bits: compressed numbers and tables, vectors
 
 Positions, velocities, ids and other attributes are those that OpenUSD computes, and so are the times. `info` shows
-the text, which PLY has not.
+the text, which PLY has not. The frames of the last become surfaces.
 """
 
 import shutil
@@ -20,6 +21,9 @@ from project import PROGRAM, WORK, Check, convert, same_times
 FILES = WORK / "usd"
 COUNT = 500
 CODES = [1, 2, 5]
+# The attributes that `info` shows.
+SHOWN = "velocities", "widths", "ids", "half", "double", "few", "int", "word"
+HOUDINI_SHOWN = "velocities", "widths", "ids", "Cd", "age"
 
 
 def main():
@@ -34,6 +38,12 @@ def main():
     for name, first in (("composed.usdz", "composed.usda"), ("moving.usdz", "moving.usdc")):
         UsdUtils.CreateNewUsdzPackage(str(FILES / first), str(FILES / name))
         check.line(name, *compared(FILES / name))
+    path = FILES / "houdini.usdc"
+    houdini(path)
+    check.line(path.name, *compared(path))
+    check.line("houdini: attributes", *same_attributes(path))
+    status, text, frames = convert([path], FILES / "surfaces", "--format", "ply")
+    check.line("houdini: surfaces", f"{len(frames)} frames", [] if status == 0 and len(frames) == 3 else [text])
     check.end()
 
 
@@ -112,6 +122,57 @@ def composed(path):
     stage.Save()
 
 
+HOUDINI_COUNT = 3000
+HOUDINI_CODES = [1001, 1002, 1003]
+HOUDINI_POINTS = "/sopimport1/points_0"
+
+
+def houdini_attributes(code):
+    """Names, types and values at a time code. Few distinct widths become a table, and whole ages compressed integers."""
+    random, types = np.random.default_rng(code), Sdf.ValueTypeNames
+    vectors = random.random((2, HOUDINI_COUNT, 3)).astype(np.float16)
+    widths = np.array([0.1, 0.2, 0.25], np.float16)[random.integers(0, 3, HOUDINI_COUNT)]
+    ages = random.integers(0, 900, HOUDINI_COUNT).astype(np.float16)
+    return {
+        "velocities": (types.Vector3hArray, vectors[0], Vt.Vec3hArray),
+        "primvars:Cd": (types.Color3hArray, vectors[1], Vt.Vec3hArray),
+        "widths": (types.HalfArray, widths, Vt.HalfArray),
+        "primvars:age": (types.HalfArray, ages, Vt.HalfArray),
+        "ids": (types.Int64Array, random.permutation(HOUDINI_COUNT) + 2**40, Vt.Int64Array),
+    }
+
+
+def houdini(path):
+    stage = Usd.Stage.CreateNew(str(path))
+    stage.SetTimeCodesPerSecond(24)
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    UsdGeom.SetStageMetersPerUnit(stage, 1)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/sopimport1").GetPrim())
+    points, layer = UsdGeom.Points.Define(stage, HOUDINI_POINTS), stage.GetRootLayer()
+    # The schema has 32 bits for widths and velocities, so these are written into the layer.
+    for name, (kind, _, _) in houdini_attributes(0).items():
+        Sdf.AttributeSpec(layer.GetPrimAtPath(HOUDINI_POINTS), name, kind).SetInfo("interpolation", "vertex")
+    for code in HOUDINI_CODES:
+        positions = np.random.default_rng(code + 1000).random((HOUDINI_COUNT, 3)).astype(np.float32)
+        points.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(positions), code)
+        for name, (_, values, array) in houdini_attributes(code).items():
+            layer.SetTimeSample(f"{HOUDINI_POINTS}.{name}", code, array.FromNumpy(values))
+    stage.Save()
+
+
+def same_attributes(path):
+    """Compares the attributes in the .ply of each frame with those that were written."""
+    faults = []
+    for code in HOUDINI_CODES:
+        vertices = read_vertices(FILES / "out" / path.name / f"houdini.{code}.ply")
+        for name, (_, values, _) in houdini_attributes(code).items():
+            name = name.removeprefix("primvars:")
+            columns = [name] if values.ndim == 1 else [f"{name}_{axis}" for axis in "xyz"]
+            if not all(map(np.array_equal, [vertices[column] for column in columns], np.atleast_2d(values.T))):
+                faults.append(f"other {name} at the time code {code}")
+    return f"{len(houdini_attributes(0))} attributes in {len(HOUDINI_CODES)} frames", faults
+
+
 def columns_of(prim, time):
     """The visible particles of a prim, as columns of a PLY."""
     matrix = np.array(prim.ComputeLocalToWorldTransform(time))
@@ -122,7 +183,7 @@ def columns_of(prim, time):
     velocities = np.array(prim.GetVelocitiesAttr().Get(time), float) @ matrix[:3, :3]
     columns |= {f"velocities_{axis}": values for axis, values in zip("xyz", velocities.T)}
     primvars = UsdGeom.PrimvarsAPI(prim)
-    columns |= {name: primvars.GetPrimvar(name).Get(time) for name in ("half", "double", "few", "int")}
+    columns |= {name: primvars.GetPrimvar(name).Get(time) for name in SHOWN if primvars.HasPrimvar(name) and name != "word"}
     return {name: np.array(values, float) for name, values in columns.items()}
 
 
@@ -157,7 +218,7 @@ def compared(path):
             if found.shape != values.shape or (abs(found - values) / (1 + abs(values))).max() > 1e-6:
                 faults.append(f"{ply.name}: {name} is not that at the time code {code}")
     shown = subprocess.run([PROGRAM, "info", "--json", path], capture_output=True, text=True, timeout=600)
-    for name in ("velocities", "widths", "ids", "half", "double", "few", "int", "word"):
+    for name in HOUDINI_SHOWN if path.stem == "houdini" else SHOWN:
         if shown.stdout.count(f'"{name}"') != len(frames):
             faults.append(f"info does not show {name} of each frame")
     first = next(iter(frames.values()))

@@ -9,7 +9,8 @@
 //! A target panics if a condition fails that must hold for any bytes. Two programs call the targets: the test
 //! next to this file, and `long`, which uses libFuzzer to search for bytes that reach new code.
 
-use std::io::{self, Cursor, Read, Write};
+use std::cell::Cell;
+use std::io::{self, Cursor, ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpStream};
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
@@ -21,8 +22,8 @@ use meniscus::watch::status_store::StatusStore;
 use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
     ContainerFile, Format, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind,
-    ReadAt, Result, Sample, Values, abc, bgeo, completeness, compression, csv, gltf, hdf5, houdini,
-    is_complete, json, lammps, looks_like_particles, npy, obj, ply, png, probe, prt, read_mesh,
+    ReadAt, Result, Sample, Values, abc, bgeo, completeness, compression, container, csv, gltf, hdf5,
+    houdini, is_complete, json, lammps, looks_like_particles, npy, obj, ply, png, probe, prt, read_mesh,
     read_obstacle, read_particles, read_provenance, stl, usda, usdc, vdb, vtk, xdmf, xyz, xyz_ext,
 };
 use twox_hash::XxHash3_64;
@@ -64,8 +65,9 @@ pub(crate) const TARGETS: &[Target] = &[
     compressed("npz", |bytes| checked(npy::read_archive(bytes, &limits()))),
     compressed("prt", |bytes| checked(prt::read(bytes, &limits()))),
     plain("json", |bytes| checked(json::read(bytes, &limits()))),
-    compressed("hdf5", |bytes| container(bytes, hdf5::samples, hdf5::read)),
-    compressed("xdmf", |bytes| container(bytes, xdmf::samples, xdmf::read)),
+    compressed("hdf5", |bytes| container(bytes, bytes, hdf5::samples, hdf5::read)),
+    compressed("xdmf", |bytes| list(bytes, xdmf::samples, xdmf::read)),
+    compressed("vtk_index", vtk_index),
     plain("lammps", |bytes| steps(ProbedKind::Format(Format::LammpsDump), bytes, lammps::read)),
     plain("atoms", |bytes| steps(ProbedKind::Format(Format::XyzAtoms), bytes, xyz_ext::read)),
     plain("vtk_legacy", |bytes| checked(vtk::read_legacy(bytes, &limits()))),
@@ -187,18 +189,46 @@ fn steps(kind: ProbedKind, bytes: &[u8], read: fn(&[u8], &Limits) -> Result<Part
     }
 }
 
-/// Reads the first frames of a container. Each file that it names has the same bytes.
-fn container(
-    bytes: &[u8],
-    samples: fn(&ContainerFile, &Limits) -> Result<Vec<Sample>>,
-    read: fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame>,
-) {
-    let open = |_: &str| Ok(Box::new(Arc::<[u8]>::from(bytes)) as Box<dyn ReadAt>);
+type ReadSamples = fn(&ContainerFile, &Limits) -> Result<Vec<Sample>>;
+type ReadSample = fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame>;
+
+/// Reads the first frames of a container. The first files that each names have the bytes `further`; the memory
+/// for these counts once.
+fn container(bytes: &[u8], further: &[u8], samples: ReadSamples, read: ReadSample) {
+    const OPENED_MAX: usize = 2;
+    let opened = Cell::new(0);
+    let open = |_: &str| {
+        opened.set(opened.get() + 1);
+        let is_there = opened.get() <= OPENED_MAX;
+        is_there
+            .then(|| Box::new(Arc::<[u8]>::from(further)) as Box<dyn ReadAt>)
+            .ok_or(ErrorKind::NotFound.into())
+    };
     let file = ContainerFile { file: &bytes, name: "f", open: &open };
     let count = samples(&file, &limits()).map_or(1, |samples| samples.len());
     for index in 0..count.min(3) {
+        opened.set(0);
         checked(read(&file, index, &limits()));
     }
+}
+
+/// Reads the first frames of a text that names files. These have the bytes after the first zero byte, if any.
+fn list(bytes: &[u8], samples: ReadSamples, read: ReadSample) {
+    let end = bytes.iter().position(|&byte| byte == 0);
+    let (text, further) = end.map_or((bytes, bytes), |end| (&bytes[..end], &bytes[end + 1..]));
+    container(text, further, samples, read);
+}
+
+fn vtk_index(bytes: &[u8]) {
+    const KIND: ProbedKind = ProbedKind::Format(Format::VtkIndex);
+    list(
+        bytes,
+        |file, limits| {
+            let _ = container::further_files(KIND, file, limits);
+            container::samples(KIND, file, limits)
+        },
+        |file, index, limits| read_particles(&container::packed(KIND, file, index, limits)?, "f", limits),
+    );
 }
 
 fn vdb_grids(bytes: &[u8]) {

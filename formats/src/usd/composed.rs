@@ -31,8 +31,10 @@ pub(crate) struct ComposedStage<'a> {
     limits: Limits,
     files: RefCell<Vec<Rc<LayerFile<'a>>>>,
     stacks: RefCell<Vec<Rc<LayerStack>>>,
-    /// How many sites were composed.
+    /// How many sites were composed; a long path counts as several.
     work: Cell<usize>,
+    /// The largest `work`: references multiply prims, but not without end.
+    work_max: Cell<usize>,
 }
 
 /// A layer and where it was opened.
@@ -97,8 +99,11 @@ impl<'a> StrongestValue<'a> {
     }
 }
 
-/// The most sites of a stage, and the deepest nesting of prims and of references.
-const SITES_MAX: usize = 1 << 20;
+/// The most sites of a stage beside some for each node of its layers, and the bytes of a path that count as one.
+const SITES_MAX: usize = 1 << 17;
+const SITES_PER_NODE: usize = 4;
+const PATH_BYTES: usize = 128;
+/// The deepest nesting of prims and of references, and the most layers.
 const PRIM_DEPTH_MAX: usize = 64;
 const ARC_DEPTH_MAX: usize = 16;
 const FILES_MAX: usize = 4096;
@@ -124,6 +129,7 @@ impl<'a> ComposedStage<'a> {
             files: RefCell::default(),
             stacks: RefCell::default(),
             work: Cell::new(0),
+            work_max: Cell::new(SITES_MAX),
         };
         stage.add_file(file, String::new())?;
         stage.stack(0)?;
@@ -173,6 +179,7 @@ impl<'a> ComposedStage<'a> {
         if files.len() == FILES_MAX {
             return Err(Error::too_large(FORMAT, format!("the stage has more than {FILES_MAX} layers")));
         }
+        self.work_max.set(self.work_max.get().saturating_add(SITES_PER_NODE * layer.nodes.len()));
         files.push(Rc::new(LayerFile { layer, path, package }));
         Ok(files.len() - 1)
     }
@@ -404,8 +411,8 @@ impl<'a> ComposedStage<'a> {
         if site.nodes.is_empty() {
             return Ok(());
         }
-        self.work.set(self.work.get() + 1);
-        if depth > ARC_DEPTH_MAX || self.work.get() > SITES_MAX {
+        self.work.set(self.work.get() + 1 + path.len() / PATH_BYTES);
+        if depth > ARC_DEPTH_MAX || self.work.get() > self.work_max.get() {
             let what = format!(
                 "the references of {} are nested more than {ARC_DEPTH_MAX} deep or contain themselves, or the stage has \
                  too many prims",
