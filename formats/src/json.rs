@@ -18,9 +18,9 @@ use crate::columns::{Columns, group_columns, of_integers, position_rank, role_of
 use crate::data::{ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, frame_of, widened};
+use crate::named_arrays::{NamedArray, frame_of};
 use crate::npy::unnamed_frame;
-use crate::number::interleaved;
+use crate::number::{interleaved, wide};
 use crate::row::{FormatRow, ParticleReader};
 use crate::text::{excerpt, excerpts, line_number};
 
@@ -102,7 +102,7 @@ impl JsonList {
     }
 
     fn widen(&mut self) {
-        self.values = widened(&self.values).unwrap_or(Values::F64(Vec::new()));
+        self.values = Values::F64(wide(&self.values));
     }
 
     /// Reads the numbers of a particle: a number, or a list of as many as the particles before have.

@@ -29,6 +29,7 @@ pub mod integrity;
 pub mod json;
 pub mod lammps;
 pub mod limits;
+mod matrix;
 pub mod mesh;
 mod named_arrays;
 mod neighbor;

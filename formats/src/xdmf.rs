@@ -32,8 +32,8 @@ use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, ParticlePart};
 use crate::number::{NumberType, interleaved, positions};
 use crate::row::{FormatRow, ParticleReader};
-use crate::text::{excerpt, parse_number};
-use crate::vtk::{attribute, joined};
+use crate::text::excerpt;
+use crate::vtk::{attribute, decimals, joined};
 
 /// The format's name in errors.
 const FORMAT: &str = "XDMF";
@@ -371,23 +371,19 @@ fn data_item<'a>(tag: &BytesStart, at: u64) -> Result<DataItem<'a>> {
     let count = dimensions
         .split_ascii_whitespace()
         .try_fold(1u64, |count, word| count.checked_mul(word.parse().ok()?));
-    let number = match (&*text(&["NumberType", "DataType"], "float")?, &*text(&["Precision"], "")?) {
-        ("float", "" | "4") => Some(NumberType::F32),
-        ("float", "8") => Some(NumberType::F64),
-        ("int", "" | "4") => Some(NumberType::I32),
-        ("int", "8") => Some(NumberType::I64),
-        ("int", "2") => Some(NumberType::I16),
-        ("uint", "" | "4") => Some(NumberType::U32),
-        ("uint", "8") => Some(NumberType::U64),
-        ("uint", "2") => Some(NumberType::U16),
-        ("char", "" | "1") | ("int", "1") => Some(NumberType::I8),
-        ("uchar", "" | "1") | ("uint", "1") => Some(NumberType::U8),
-        _ => None,
+    let (kind, bytes) = match &*text(&["NumberType", "DataType"], "float")? {
+        "char" => ('i', "1"),
+        "uchar" => ('u', "1"),
+        "int" => ('i', "4"),
+        "uint" => ('u', "4"),
+        "float" => ('f', "4"),
+        _ => (' ', ""),
     };
+    let bytes = text(&["Precision"], bytes)?;
     Ok(DataItem {
         at,
         count: count.filter(|_| !dimensions.is_empty()),
-        number,
+        number: bytes.parse().ok().and_then(|bytes| NumberType::of_kind(kind, bytes)),
         endian: if text(&["Endian"], "native")? == "big" { Endian::Big } else { Endian::Little },
         format: text(&["Format"], "xml")?,
         seek: text(&["Seek"], "0")?.parse().map_err(|_| malformed(at, "Seek: expected a number"))?,
@@ -530,27 +526,12 @@ impl ItemReader<'_, '_> {
 /// The numbers in the text of an item.
 fn parsed(item: &DataItem, number: NumberType, count: u64) -> Result<Values> {
     let wrong = |what: &str| malformed(item.at, format!("expected {count} numbers, found {what}"));
-    let mut numbers: Vec<f64> = Vec::new();
-    let mut integers: Vec<i64> = Vec::new();
-    let is_float = matches!(number, NumberType::F32 | NumberType::F64);
-    for word in item.text.split_ascii_whitespace() {
-        if is_float {
-            let parsed = parse_number(word.as_bytes()).filter(|&(_, length)| length == word.len());
-            numbers.push(parsed.ok_or_else(|| wrong(&excerpt(word)))?.0);
-        } else {
-            integers.push(word.parse().map_err(|_| wrong(&excerpt(word)))?);
-        }
-    }
-    let found = numbers.len() + integers.len();
+    let words = item.text.as_bytes().split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+    let found = words.clone().count();
     if found as u64 != count {
         return Err(wrong(&found.to_string()));
     }
-    Ok(match number {
-        NumberType::F64 => Values::F64(numbers),
-        #[expect(clippy::cast_possible_truncation, reason = "the file states 32 bits")]
-        NumberType::F32 => Values::F32(numbers.into_iter().map(|number| number as f32).collect()),
-        _ => Values::I64(integers),
-    })
+    decimals(words, number, found).map_err(|word| wrong(&excerpt(word)))
 }
 
 /// An error in a file that the index names.

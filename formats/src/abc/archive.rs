@@ -5,7 +5,6 @@
 //! counts them, so references that form a cycle, or share groups, end with an error.
 
 use std::cell::Cell;
-use std::collections::HashMap;
 use std::rc::Rc;
 
 use super::FORMAT;
@@ -19,7 +18,7 @@ use crate::data::Values;
 use crate::digest::DIGEST_BYTES;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::number::gathered;
+use crate::number::{distinct_strings, gathered};
 use crate::provenance::from_escaped;
 use crate::text::excerpt;
 
@@ -389,15 +388,7 @@ impl<'a> Archive<'a> {
     fn values(&self, property: &PropertyHeader, index: u32) -> Result<Values> {
         let pod = property.pod().unwrap_or_default() as usize;
         if pod == Pod::String as usize {
-            let (mut indices, mut table, mut known) = (Vec::new(), Vec::new(), HashMap::new());
-            for text in self.strings(property, index)? {
-                let next = i32::try_from(table.len()).unwrap_or(-1);
-                indices.push(*known.entry(text.clone()).or_insert_with(|| {
-                    table.push(text);
-                    next
-                }));
-            }
-            return Ok(Values::Strings { table, indices });
+            return Ok(distinct_strings(self.strings(property, index)?));
         }
         let Some(number) = NUMBER_TYPES.get(pod) else {
             let what = format!("{} has values of the unsupported type {pod}", excerpt(&property.name));

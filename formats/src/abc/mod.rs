@@ -35,6 +35,7 @@ use crate::gltf::{
     shared_attributes,
 };
 use crate::limits::Limits;
+use crate::matrix::Matrix;
 use crate::number::write_pieces;
 use crate::options::{MeshOptions, UpAxis, WriteOption};
 use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleReader};
@@ -44,7 +45,7 @@ use crate::vertex_attributes::{
 };
 use document::{AbcObject, AbcProperty, MAGIC, Ogawa, Pod, StoredSample, Times, write_archive};
 use mesh::{
-    FrameSamples, Matrix, MeshSamples, ParamType, bounds, bounds_sample, names, real_sample, to_world,
+    FrameSamples, MeshSamples, ParamType, bounds, bounds_sample, names, real_sample, to_world,
     triangle_samples,
 };
 use read::{SampledMesh, bytes_declared, check_single_frame, own_head, own_mesh, read_provenance};

@@ -11,12 +11,13 @@ use std::collections::BTreeMap;
 use super::FORMAT;
 use super::archive::{Archive, ObjectHeader, PropertyHeader, TIME_TOLERANCE, entry};
 use super::document::{Pod, Reference};
-use super::mesh::{IDENTITY, Matrix, names};
+use super::mesh::names;
 use crate::batches::ReadAt;
 use crate::data::Values;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::widened;
+use crate::matrix::{IDENTITY, Matrix, product, rotation};
+use crate::number::wide;
 use crate::text::{excerpt, listed};
 
 /// The limit of objects inside one another: more than any scene has.
@@ -179,11 +180,9 @@ impl<'a> Scene<'a> {
     /// Whether an object is visible at a time.
     pub(super) fn is_visible(&self, geometry: &Geometry, time: Option<f64>) -> Result<bool> {
         for property in self.chain(geometry).filter_map(|node| node.visible.as_ref()) {
-            match widened(&self.archive.param(property, time)?.values) {
-                Some(Values::F64(values)) if values.first() == Some(&0.0) => return Ok(false),
-                Some(Values::F64(values)) if values.first().is_some_and(|value| *value > 0.0) => {
-                    return Ok(true);
-                }
+            match wide(&self.archive.param(property, time)?.values).first() {
+                Some(0.0) => return Ok(false),
+                Some(value) if *value > 0.0 => return Ok(true),
                 _ => {} // −1: as the parent
             }
         }
@@ -276,35 +275,19 @@ pub(super) fn operation_matrix(operation: u8, values: &[f64]) -> Matrix {
     match (operation, values) {
         (0, &[x, y, z]) => (matrix[0][0], matrix[1][1], matrix[2][2]) = (x, y, z),
         (1, &[x, y, z]) => matrix[3] = [x, y, z, 1.0],
-        (2, &[x, y, z, degrees]) => return rotation([x, y, z], degrees),
+        (2, &[x, y, z, degrees]) => {
+            let length = (x * x + y * y + z * z).sqrt();
+            return rotation(
+                [x, y, z].map(|along| if length == 0.0 { 0.0 } else { along / length }),
+                degrees,
+            );
+        }
         (4, &[degrees]) => return rotation([1.0, 0.0, 0.0], degrees),
         (5, &[degrees]) => return rotation([0.0, 1.0, 0.0], degrees),
         (6, &[degrees]) => return rotation([0.0, 0.0, 1.0], degrees),
         _ => matrix.as_flattened_mut().copy_from_slice(values),
     }
     matrix
-}
-
-/// The rotation of row vectors about an axis, counterclockwise as seen from its tip.
-fn rotation(axis: [f64; 3], degrees: f64) -> Matrix {
-    let length = axis.iter().map(|along| along * along).sum::<f64>().sqrt();
-    let [x, y, z] = axis.map(|along| if length == 0.0 { along } else { along / length });
-    let (sin, cos) = degrees.to_radians().sin_cos();
-    let rest = 1.0 - cos;
-    [
-        [x * x * rest + cos, x * y * rest + z * sin, x * z * rest - y * sin, 0.0],
-        [x * y * rest - z * sin, y * y * rest + cos, y * z * rest + x * sin, 0.0],
-        [x * z * rest + y * sin, y * z * rest - x * sin, z * z * rest + cos, 0.0],
-        [0.0, 0.0, 0.0, 1.0],
-    ]
-}
-
-/// The transform `first`, then `second`.
-fn product(first: &Matrix, second: &Matrix) -> Matrix {
-    if *first == IDENTITY {
-        return *second;
-    }
-    first.map(|row| std::array::from_fn(|column| (0..4).map(|n| row[n] * second[n][column]).sum()))
 }
 
 /// Reads the positions of a sample, before their transform.

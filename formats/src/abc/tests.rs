@@ -2,12 +2,13 @@
 
 use super::archive::Archive;
 use super::document::{AbcObject, AbcProperty, DATA, Ogawa, Pod, StoredSample, Times, write_archive};
-use super::mesh::{IDENTITY, names, transformed};
+use super::mesh::names;
 use super::points::{READER, frame_numbers};
 use super::scene::operation_matrix;
 use super::*;
 use crate::container::{ContainerFile, OpenFurther};
 use crate::data::{FilePositions, ParticleFrame};
+use crate::matrix::{IDENTITY, transformed};
 
 /// The seed of the fuzz target, which the tests with damaged files also use.
 const SEED: &[u8] = include_bytes!("../../../tests/fuzz/corpus/abc/points.abc");
@@ -198,7 +199,7 @@ fn operations_of_transforms_are_those_of_alembic() {
         (6, &[90.0], [-2.0, 1.0, 3.0]),
     ];
     for (operation, values, expected) in table {
-        let found = transformed([1.0, 2.0, 3.0], &operation_matrix(operation, values), 1.0);
+        let found = transformed(&operation_matrix(operation, values), [1.0, 2.0, 3.0], 1.0);
         assert!((0..3).all(|axis| (found[axis] - expected[axis]).abs() < 1e-12), "{operation}: {found:?}");
     }
     assert_eq!(operation_matrix(2, &[0.0; 4]), IDENTITY);

@@ -25,11 +25,12 @@ use hdf5_reader::group::Group;
 
 use crate::batches::ReadAt;
 use crate::columns::position_rank;
-use crate::container::{ContainerFile, ContainerReader, Sample};
+use crate::container::{ContainerFile, ContainerReader, Sample, frame_at};
 use crate::data::{ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, frame_of, position_count, widened};
+use crate::named_arrays::{NamedArray, frame_of, position_count};
+use crate::number::wide;
 use crate::row::{FormatRow, ParticleReader};
 use crate::text::{excerpt, excerpts};
 use file::{HdfFile, HdfTable, attributes_of, number_in, with_file};
@@ -75,10 +76,7 @@ pub fn samples(container: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>
 pub fn read(container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
     with_file(container.file, limits, |file| {
         let steps = steps(file)?;
-        let step = steps.get(index).ok_or_else(|| {
-            Error::invalid(FORMAT, Position::File, format!("there is no frame {index} of {}", steps.len()))
-        })?;
-        let group = file.group(&file.root()?, &step.path)?;
+        let group = file.group(&file.root()?, &frame_at(FORMAT, &steps, index)?.path)?;
         let mut notes = Vec::new();
         match find_particles(file, &group, &mut notes)? {
             Some(found) => frame(file, found, notes),
@@ -343,7 +341,7 @@ fn frame(file: &HdfFile, group: ParticleGroup, mut notes: Vec<String>) -> Result
     file.limits.check_attributes(FORMAT, arrays.len(), "attributes")?;
     let offsets: Vec<NamedArray> =
         arrays.extract_if(.., |array| array.name.starts_with("positionOffset_")).collect();
-    if offsets.iter().any(|offset| has_nonzero(&offset.values)) {
+    if offsets.iter().any(|offset| wide(&offset.values).iter().any(|&value| value != 0.0)) {
         let what =
             "the positions have offsets (positionOffset), which are not supported: add them to the positions";
         return Err(Error::unsupported(FORMAT, what));
@@ -352,10 +350,6 @@ fn frame(file: &HdfFile, group: ParticleGroup, mut notes: Vec<String>) -> Result
     frame.notes.append(&mut notes);
     frame.notes.extend(file.notes());
     Ok(frame)
-}
-
-fn has_nonzero(values: &Values) -> bool {
-    matches!(widened(values), Some(Values::F64(values)) if values.iter().any(|&value| value != 0.0))
 }
 
 fn no_particles(file: &HdfFile, notes: Vec<String>) -> Error {

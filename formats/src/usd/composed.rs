@@ -20,7 +20,7 @@ use std::sync::Arc;
 use super::FORMAT;
 use super::layer::{Layer, LayerArc, ListEdits, TimeSamples, Value};
 use super::package::{LayerBytes, Package};
-use crate::container::{ContainerFile, OpenFurther};
+use crate::container::{ContainerFile, OpenFurther, folder_of, further_path};
 use crate::error::{Error, Result};
 use crate::limits::Limits;
 use crate::text::excerpt;
@@ -109,7 +109,7 @@ impl<'a> ComposedStage<'a> {
     /// # Errors
     /// Those of [`Layer::read`]; [`Error::Unsupported`] for a sublayer that cannot be opened.
     pub(crate) fn open(container: &ContainerFile<'a>, limits: &Limits) -> Result<ComposedStage<'a>> {
-        ComposedStage::of_file(LayerBytes::first(container.file)?, container.open, limits)
+        ComposedStage::of_file(LayerBytes::new(Rc::new(container.file))?, container.open, limits)
     }
 
     /// The stage of a file, which `open` opens others beside.
@@ -194,7 +194,7 @@ impl<'a> ComposedStage<'a> {
             return self.add_layer(bytes, path.to_owned(), Some(Rc::clone(package)));
         }
         let file = (self.open)(path).map_err(|error| refused(place, path, &error.to_string()))?;
-        self.add_file(LayerBytes::further(file)?, path.to_owned())
+        self.add_file(LayerBytes::new(file.into())?, path.to_owned())
     }
 
     /// The stack of layers that starts with this file.
@@ -529,17 +529,9 @@ fn codes_per_second(layer: &Layer) -> Result<f64> {
 /// [`Error::Unsupported`] if it is outside the folder of the first one.
 fn beside(from: &str, asset: &str, place: &str) -> Result<String> {
     let outside = || refused(place, asset, "it is outside the folder of the file");
-    let mut names: Vec<&str> = from.split('/').collect();
-    names.pop();
-    for name in asset.split(['/', '\\']) {
-        match name {
-            "" | "." => {}
-            ".." => drop(names.pop().ok_or_else(outside)?),
-            name => names.push(name),
-        }
-    }
-    let is_elsewhere = asset.starts_with(['/', '\\']) || asset.contains([':', '\0', '[']) || names.is_empty();
-    if is_elsewhere { Err(outside()) } else { Ok(names.join("/")) }
+    // Brackets name a file within a package.
+    let path = further_path(FORMAT, folder_of(from), asset).ok().filter(|path| !path.contains('['));
+    path.ok_or_else(outside)
 }
 
 fn refused(place: &str, asset: &str, why: &str) -> Error {

@@ -18,8 +18,9 @@ use super::package::{LayerBytes, LimitedBytes};
 use crate::data::Values;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, widened};
+use crate::named_arrays::NamedArray;
 use crate::number::NumberType;
+pub(crate) use crate::number::wide;
 use crate::usdc::CrateFile;
 
 /// A layer.
@@ -332,14 +333,6 @@ impl Value {
             Value::Numbers(numbers) => numbers.first().copied(),
             _ => None,
         }
-    }
-}
-
-/// All values as 64-bit floats.
-pub(crate) fn wide(values: &Values) -> Vec<f64> {
-    match widened(values) {
-        Some(Values::F64(values)) => values,
-        _ => Vec::new(),
     }
 }
 

@@ -111,7 +111,7 @@ fn layers_are_composed_by_strength() {
         );
     }
     let (_, notes) = line(&[("r.usda", "( subLayers = [@a.usda@] )"), ("a.usda", asset)]);
-    assert!(notes.contains("the points of 2 prims are one frame"), "{notes}");
+    assert!(notes.contains("joined the particles of 2 prims"), "{notes}");
 }
 
 #[test]

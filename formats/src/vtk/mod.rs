@@ -15,6 +15,7 @@ mod xml;
 use quick_xml::Reader;
 use quick_xml::events::Event;
 
+pub(crate) use blocks::decimals;
 pub use legacy::{read as read_legacy, read_mesh as read_legacy_mesh};
 pub use write::{attribute_notes, particle_notes, write_mesh, write_particles};
 pub(crate) use xml::{attribute, neighbor as xml_neighbor};

@@ -403,24 +403,8 @@ fn data_array<'a>(tag: &BytesStart, at: u64) -> Result<DataArray<'a>> {
             ));
         }
     };
-    let number = number_of(&attribute(tag, "type", at)?.unwrap_or_default());
+    let number = NumberType::named(&attribute(tag, "type", at)?.unwrap_or_default());
     Ok(DataArray { name, number, arity, form, content: &[], offset: at })
-}
-
-fn number_of(kind: &str) -> Option<NumberType> {
-    Some(match kind {
-        "Int8" => NumberType::I8,
-        "UInt8" => NumberType::U8,
-        "Int16" => NumberType::I16,
-        "UInt16" => NumberType::U16,
-        "Int32" => NumberType::I32,
-        "UInt32" => NumberType::U32,
-        "Int64" => NumberType::I64,
-        "UInt64" => NumberType::U64,
-        "Float32" => NumberType::F32,
-        "Float64" => NumberType::F64,
-        _ => return None,
-    })
 }
 
 /// The value of an attribute of a tag.
