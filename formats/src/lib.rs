@@ -57,6 +57,7 @@ pub mod vdb;
 mod vertex_attributes;
 pub mod vtk;
 pub mod xdmf;
+mod xml;
 pub mod xyz;
 pub mod xyz_ext;
 mod zstd;

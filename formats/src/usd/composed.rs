@@ -414,22 +414,33 @@ impl<'a> ComposedStage<'a> {
             return Err(Error::too_large(FORMAT, what));
         }
         found.push(site.clone());
-        let of_stack = |target: String| LayerArc { asset: String::new(), prim: target, retime: [0.0, 1.0] };
         for target in self.names(&site, "inheritPaths")? {
             self.follow(&site, &of_stack(target), found, path, depth)?;
         }
         for set in self.names(&site, "variantSetNames")? {
-            if let Some(variant) = self.selection(found, &set)? {
+            let mut selected = self.selection(found, &set)?;
+            if selected.is_none() {
+                // What the prim refers to is weaker than its variants, and can select one nevertheless.
+                let mut all = found.clone();
+                self.add_weaker(&site, &mut all, path, depth)?;
+                selected = self.selection(&all, &set)?;
+            }
+            if let Some(variant) = selected {
                 self.expand(self.child_site(&site, &format!("{{{set}={variant}}}")), found, path, depth + 1)?;
             }
         }
+        self.add_weaker(&site, found, path, depth)
+    }
+
+    /// Adds the sites that are weaker than the variants of a site.
+    fn add_weaker(&self, site: &Site, found: &mut Vec<Site>, path: &str, depth: usize) -> Result<()> {
         for field in ["references", "payload"] {
-            for arc in self.arcs(&site, field, path)? {
-                self.follow(&site, &arc, found, path, depth)?;
+            for arc in self.arcs(site, field, path)? {
+                self.follow(site, &arc, found, path, depth)?;
             }
         }
-        for target in self.names(&site, "specializes")? {
-            self.follow(&site, &of_stack(target), found, path, depth)?;
+        for target in self.names(site, "specializes")? {
+            self.follow(site, &of_stack(target), found, path, depth)?;
         }
         Ok(())
     }
@@ -512,6 +523,11 @@ impl<'a> ComposedStage<'a> {
         }
         Ok(None)
     }
+}
+
+/// An arc to a prim of the same stack.
+fn of_stack(prim: String) -> LayerArc {
+    LayerArc { asset: String::new(), prim, retime: [0.0, 1.0] }
 }
 
 /// The time codes of a second in a layer.
