@@ -21,7 +21,8 @@ use crate::matrix::{IDENTITY, Matrix, change_vectors, determinant, normal_transf
 use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
 use crate::text::excerpt;
 
-pub(super) const READER: ContainerReader = ContainerReader::new(samples, read);
+pub(super) const READER: ContainerReader =
+    ContainerReader::new(samples, |file, index, limits| read_sample(file.file, index, limits));
 
 /// The largest difference between a time, in frames, and a whole frame.
 const FRAME_TOLERANCE: f64 = 1e-3;
@@ -56,10 +57,6 @@ pub(super) fn frame_numbers(times: &[f64]) -> Option<Vec<i64>> {
     };
     let numbers: Vec<i64> = times.iter().map(number).collect::<Option<_>>().filter(|_| fps >= 1.0)?;
     numbers.windows(2).all(|pair| pair[0] < pair[1]).then_some(numbers)
-}
-
-fn read(file: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
-    read_sample(file.file, index, limits)
 }
 
 /// Reads the particles of one sample of an archive in memory, by its index.

@@ -311,14 +311,11 @@ fn name_velocity(tables: &mut [HdfTable]) {
 
 /// The number of particles, if the tables have a position.
 fn count_of(tables: &[HdfTable]) -> Option<usize> {
-    let described = |table: &HdfTable| {
+    let fields = tables.iter().flat_map(|table| {
         let count = usize::try_from(table.row_count).unwrap_or(usize::MAX);
-        let fields: Vec<_> =
-            table.fields.iter().map(|field| (field.name.clone(), field.arity, count)).collect();
-        fields
-    };
-    let fields: Vec<_> = tables.iter().flat_map(described).collect();
-    position_count(&fields.iter().map(|(name, arity, count)| (&**name, *arity, *count)).collect::<Vec<_>>())
+        table.fields.iter().map(move |field| (&*field.name, field.arity, count))
+    });
+    position_count(&fields.collect::<Vec<_>>())
 }
 
 /// Reads the tables that have a row for each particle.

@@ -88,7 +88,7 @@ pub(crate) enum Value {
 /// Where an array is in its file.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum ArrayPlace {
-    /// The bits that represent a value in a binary file.
+    /// The bits that represent an array in a binary file or, in a dictionary and among samples, any value.
     Binary(u64),
     /// Its elements, the first and the end of its bytes, and its line.
     Text(ArrayElement, u64, u64, u64),
@@ -106,15 +106,8 @@ pub(crate) enum ArrayElement {
 #[derive(Debug)]
 pub(crate) struct TimeSamples {
     pub(crate) codes: Vec<f64>,
-    pub(crate) values: SampleValues,
-}
-
-/// The values at the time codes.
-#[derive(Debug)]
-pub(crate) enum SampleValues {
-    /// The bits that represent them in a binary file.
-    Binary(Vec<u64>),
-    Text(Vec<Value>),
+    /// See [`Layer::resolved`].
+    pub(crate) values: Vec<Value>,
 }
 
 /// A reference or a payload, or a sublayer.
@@ -252,17 +245,17 @@ impl<'a> Layer<'a> {
         Ok(NamedArray { name: name.to_owned(), arity, values })
     }
 
+    /// A value of a dictionary or of a sample, which a binary file has elsewhere.
+    pub(crate) fn resolved(&self, value: &Value, what: &str) -> Result<Value> {
+        match (value, &self.source) {
+            (Value::Array(ArrayPlace::Binary(rep)), LayerSource::Binary(file)) => file.value(*rep, what),
+            _ => Ok(value.clone()),
+        }
+    }
+
     /// The value of a sample.
     pub(crate) fn sample(&self, samples: &TimeSamples, index: usize) -> Result<Value> {
-        match (&samples.values, &self.source) {
-            (SampleValues::Binary(reps), LayerSource::Binary(file)) => {
-                file.value(reps.get(index).copied().ok_or_else(|| unexpected("a sample"))?, "a sample")
-            }
-            (SampleValues::Text(values), _) => {
-                values.get(index).cloned().ok_or_else(|| unexpected("a sample"))
-            }
-            _ => Err(unexpected("a sample")),
-        }
+        self.resolved(samples.values.get(index).ok_or_else(|| unexpected("a sample"))?, "a sample")
     }
 
     /// The sublayers, strongest first.

@@ -313,19 +313,13 @@ pub(crate) fn attributes(
             found.push(array);
         }
     }
-    if !constant.is_empty() {
-        notes.push(format!(
-            "skipped attributes of {} without a value per point: {}",
-            excerpt(&prim.path),
-            excerpts(&constant)
-        ));
-    }
-    if !unfit.is_empty() {
-        notes.push(format!(
-            "skipped attributes of {} that have other lengths than its points: {}",
-            excerpt(&prim.path),
-            excerpts(&unfit)
-        ));
+    for (names, what) in
+        [(constant, "without a value per point"), (unfit, "that have other lengths than its points")]
+    {
+        if !names.is_empty() {
+            let names = excerpts(&names);
+            notes.push(format!("skipped attributes of {} {what}: {names}", excerpt(&prim.path)));
+        }
     }
     Ok(found)
 }

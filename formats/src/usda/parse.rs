@@ -24,8 +24,8 @@ use crate::number::NumberType;
 use crate::text::excerpt;
 use crate::usd::FORMAT;
 use crate::usd::layer::{
-    ArrayElement, ArrayPlace, Layer, LayerArc, LayerNode, LayerSource, ListEdits, NODE_BYTES, SampleValues,
-    TimeSamples, Value, add_node,
+    ArrayElement, ArrayPlace, Layer, LayerArc, LayerNode, LayerSource, ListEdits, NODE_BYTES, TimeSamples,
+    Value, add_node,
 };
 use crate::usd::package::{LayerBytes, LimitedBytes};
 
@@ -467,7 +467,7 @@ impl UsdaParser<'_, '_> {
         }
         samples.sort_by(|(a, _), (b, _)| a.total_cmp(b));
         let (codes, values) = samples.into_iter().unzip();
-        Ok(TimeSamples { codes, values: SampleValues::Text(values) })
+        Ok(TimeSamples { codes, values })
     }
 
     /// The fields in parentheses, if there are some.

@@ -4,17 +4,17 @@ use std::io::{self, Read, Seek};
 use std::rc::Rc;
 use std::sync::Mutex;
 
-use super::tables::MAGIC;
+use super::tables::check_magic;
 use crate::batches::{ReadAt, SeekFile};
 use crate::columns::role_of;
 use crate::data::{FileAttribute, MeshData, Values, world};
-use crate::error::{Error, Position, Result};
+use crate::error::{Error, Result};
 use crate::gltf::PlacedMesh;
 use crate::limits::Limits;
 use crate::named_arrays::NamedArray;
 use crate::options::UpAxis;
 use crate::usd::composed::{ComposedStage, StagePrim};
-use crate::usd::layer::{Layer, LayerSource, Value, unexpected};
+use crate::usd::layer::{Layer, Value, unexpected};
 use crate::usd::mesh::{PrimMesh, mesh_prims};
 use crate::usd::package::LayerBytes;
 use crate::usd::points::attributes;
@@ -49,9 +49,7 @@ impl<'a> UsdcLayer<'a> {
     }
 
     fn of_file(bytes: LayerBytes<'a>, limits: &Limits) -> Result<UsdcLayer<'a>> {
-        if !bytes.head::<8>()?.starts_with(MAGIC) {
-            return Err(Error::invalid(FORMAT, Position::Offset(0), "expected PXR-USDC"));
-        }
+        check_magic(&bytes.head::<8>()?)?;
         let stage = ComposedStage::of_file(bytes, &no_other_file, limits)?;
         let info = stage.root_layer(layer_info)?;
         let meshes = mesh_prims(&stage)?;
@@ -153,10 +151,7 @@ fn layer_info(layer: &Layer) -> Result<LayerInfo> {
     };
     let entry = |entries: &[(String, Value)], name: &str| {
         let found = entries.iter().find(|(key, _)| key == name).map(|(_, value)| value);
-        match (found, &layer.source) {
-            (Some(value), LayerSource::Binary(file)) => file.entry(value, name).map(Some),
-            (found, _) => Ok(found.cloned()),
-        }
+        found.map(|value| layer.resolved(value, name)).transpose()
     };
     let counts = entries(entry(&entries(layer.field(0, "customLayerData")?), "meniscus_mesh")?);
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a count")]

@@ -18,7 +18,7 @@ use crate::number::{NumberType, append_bytes, gathered};
 use crate::usd::FORMAT;
 use crate::usd::layer::{
     ArrayElement, ArrayPlace, Layer, LayerArc, LayerNode, LayerSource, ListEdits, NODE_BYTES, NodeFields,
-    SampleValues, TimeSamples, Value, add_node, unexpected, wide,
+    TimeSamples, Value, add_node, unexpected, wide,
 };
 use crate::usd::package::{LayerBytes, LimitedBytes};
 
@@ -348,14 +348,6 @@ impl<'a> CrateFile<'a> {
         })
     }
 
-    /// The value of an entry of a dictionary.
-    pub(crate) fn entry(&self, entry: &Value, what: &str) -> Result<Value> {
-        match entry {
-            Value::Array(ArrayPlace::Binary(rep)) => self.value(*rep, what),
-            other => Ok(other.clone()),
-        }
-    }
-
     /// A reference, which has a dictionary, or a payload.
     fn arc(&self, cursor: &mut CrateCursor, is_reference: bool) -> Result<LayerArc> {
         let what = "a reference";
@@ -378,7 +370,8 @@ impl<'a> CrateFile<'a> {
         let at = cursor.clone();
         let count = cursor.count("time samples")?;
         let values = cursor.take_all(count, 8, "time samples")?;
-        let values: Vec<u64> = values.as_chunks().0.iter().map(|bytes| u64::from_le_bytes(*bytes)).collect();
+        self.source.claim(count, size_of::<Value>())?;
+        let stored = |bytes: &[u8; 8]| Value::Array(ArrayPlace::Binary(u64::from_le_bytes(*bytes)));
         if (times.type_code(), times.is_inlined()) != (ValueType::DoubleVector as u8, false) {
             return Err(at.invalid(format!("the times of {what} are not numbers")));
         }
@@ -391,7 +384,7 @@ impl<'a> CrateFile<'a> {
         if !codes.is_sorted_by(|a, b| a < b) {
             return Err(at.invalid(format!("the times of {what} do not increase")));
         }
-        Ok(TimeSamples { codes, values: SampleValues::Binary(values) })
+        Ok(TimeSamples { codes, values: values.as_chunks().0.iter().map(stored).collect() })
     }
 
     /// The number of values per element of an array, and all values.
