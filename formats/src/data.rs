@@ -285,6 +285,17 @@ pub(crate) fn world(origin: [f64; 3], position: [f32; 3]) -> [f64; 3] {
     std::array::from_fn(|axis| origin[axis] + f64::from(position[axis]))
 }
 
+/// The minimum and maximum corner of the bounding box; `None` without positions.
+pub(crate) fn bounds_of(positions: &[[f32; 3]]) -> Option<[[f32; 3]; 2]> {
+    let first = *positions.first()?;
+    Some(positions.iter().fold([first, first], |[low, high], position| {
+        [
+            std::array::from_fn(|axis| low[axis].min(position[axis])),
+            std::array::from_fn(|axis| high[axis].max(position[axis])),
+        ]
+    }))
+}
+
 impl MeshView<'_> {
     /// Fails if the mesh is invalid: unequal lengths, out-of-range indices, or numbers that are not finite.
     /// `format` is named in the error.

@@ -144,13 +144,6 @@ impl PropertyHeader {
     }
 }
 
-/// The values of a property at a time, and the array of which each is an element.
-pub(super) struct ParamValues {
-    pub(super) values: Values,
-    /// Numbers per element, and elements per particle.
-    pub(super) arity: usize,
-}
-
 /// An open archive.
 pub(super) struct Archive<'a> {
     file: &'a dyn ReadAt,
@@ -406,8 +399,9 @@ impl<'a> Archive<'a> {
         Ok(String::from_utf8_lossy(&bytes).split_terminator('\0').map(str::to_owned).collect())
     }
 
-    /// The values of a geometry parameter at a time: an array, or values and indices into them.
-    pub(super) fn param(&self, property: &PropertyHeader, time: Option<f64>) -> Result<ParamValues> {
+    /// The number of values per particle of a geometry parameter at a time, and all values: an array, or values and
+    /// indices into them.
+    pub(super) fn param(&self, property: &PropertyHeader, time: Option<f64>) -> Result<(usize, Values)> {
         let parts = if property.pod().is_none() { self.compound(property)? } else { Vec::new() };
         let part = |name: &str| parts.iter().find(|part| part.name == name);
         let values = part(".vals").unwrap_or(property);
@@ -419,7 +413,7 @@ impl<'a> Archive<'a> {
             return Err(Error::invalid(FORMAT, Position::Offset(property.reference), what));
         }
         let Some(of_values) = part(".indices") else {
-            return Ok(ParamValues { values: self.values(values, index)?, arity });
+            return Ok((arity, self.values(values, index)?));
         };
         let indices = self.elements::<4>(of_values, (Pod::U32, 1), self.index_at(of_values, time))?;
         self.claim((indices.len() as u64).saturating_mul(8 * extent as u64))?;
@@ -429,13 +423,13 @@ impl<'a> Archive<'a> {
             let is_string = |index: &i32| usize::try_from(*index).is_ok_and(|index| index < table.len());
             let index = |index: u32| i32::try_from(index).ok().filter(is_string).unwrap_or(-1);
             let indices = indices.into_iter().map(index).collect();
-            return Ok(ParamValues { values: Values::Strings { table, indices }, arity });
+            return Ok((arity, Values::Strings { table, indices }));
         }
         let values = gathered(&self.values(values, index)?, extent, &indices).ok_or_else(|| {
             let what = format!("an index of {} is beyond its values", excerpt(&property.name));
             Error::invalid(FORMAT, Position::Offset(property.reference), what)
         })?;
-        Ok(ParamValues { values, arity })
+        Ok((arity, values))
     }
 
     // Groups and data.

@@ -12,6 +12,7 @@
 use std::io::Write;
 
 use super::document::{AbcObject, AbcProperty, Ogawa, Pod, StoredSample};
+use crate::data::bounds_of;
 use crate::error::Result;
 use crate::matrix::{IDENTITY, Matrix};
 use crate::number::{write_f32s, write_pieces};
@@ -216,14 +217,7 @@ fn transform_properties(matrix: &Matrix, ogawa: &mut Ogawa) -> Result<Vec<AbcPro
 
 /// The minimum and maximum corner of the bounding box; zeros without vertices.
 pub(super) fn bounds(positions: &[[f32; 3]]) -> [[f64; 3]; 2] {
-    let first = positions.first().copied().unwrap_or_default();
-    let [low, high] = positions.iter().fold([first, first], |[low, high], position| {
-        let axes = |pick: fn(f32, f32) -> f32, corner: [f32; 3]| {
-            std::array::from_fn(|axis| pick(corner[axis], position[axis]))
-        };
-        [axes(f32::min, low), axes(f32::max, high)]
-    });
-    [low, high].map(|corner| corner.map(f64::from))
+    bounds_of(positions).unwrap_or_default().map(|corner| corner.map(f64::from))
 }
 
 /// Writes the sample of a bounding box.

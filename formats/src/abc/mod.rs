@@ -520,7 +520,7 @@ fn frame_attributes(scene: &Scene, mesh: &Geometry, vertex_count: usize) -> Resu
     }
     let params = mesh.property(names::PARAMS).map(|params| scene.archive.compound(params)).transpose()?;
     for property in params.unwrap_or_default() {
-        let values = match scene.archive.param(&property, None)?.values {
+        let values = match scene.archive.param(&property, None)?.1 {
             Values::I32(values) => Values::I64(values.into_iter().map(i64::from).collect()),
             // The last string of the file marks missing values.
             Values::Strings { mut table, mut indices } => {

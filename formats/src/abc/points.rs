@@ -148,8 +148,7 @@ impl PointsReader<'_> {
         matrix: &Matrix,
     ) -> Result<Option<NamedArray>> {
         let is_constant = entry(&property.metadata, "geoScope") == "con";
-        let param = self.scene.archive.param(property, self.time)?;
-        let (mut values, arity) = (param.values, param.arity);
+        let (arity, mut values) = self.scene.archive.param(property, self.time)?;
         if values.len() == 0 && count > 0 {
             return Ok(None); // the library writes empty arrays for those that it was not given
         }

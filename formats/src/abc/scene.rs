@@ -180,7 +180,7 @@ impl<'a> Scene<'a> {
     /// Whether an object is visible at a time.
     pub(super) fn is_visible(&self, geometry: &Geometry, time: Option<f64>) -> Result<bool> {
         for property in self.chain(geometry).filter_map(|node| node.visible.as_ref()) {
-            match wide(&self.archive.param(property, time)?.values).first() {
+            match wide(&self.archive.param(property, time)?.1).first() {
                 Some(0.0) => return Ok(false),
                 Some(value) if *value > 0.0 => return Ok(true),
                 _ => {} // −1: as the parent
@@ -207,7 +207,7 @@ impl<'a> Scene<'a> {
         for node in self.chain(geometry) {
             world = product(&world, &self.local(node, time)?);
             if let Some(inherits) = node.transform.iter().find(|property| property.name == names::INHERITS)
-                && matches!(self.archive.param(inherits, time)?.values, Values::U8(values) if values == [0])
+                && matches!(self.archive.param(inherits, time)?.1, Values::U8(values) if values == [0])
             {
                 break;
             }
@@ -220,11 +220,11 @@ impl<'a> Scene<'a> {
         let property = |name: &str| node.transform.iter().find(|property| property.name == name);
         let Some(numbers) = property(names::MATRIX) else { return Ok(IDENTITY) };
         let invalid = |what: String| Error::invalid(FORMAT, Position::File, what);
-        let Values::F64(numbers) = self.archive.param(numbers, time)?.values else {
+        let Values::F64(numbers) = self.archive.param(numbers, time)?.1 else {
             return Err(invalid("a transform has values that are not 64-bit floats".to_owned()));
         };
         let operations = match property(names::OPERATIONS) {
-            Some(operations) => self.archive.param(operations, time)?.values,
+            Some(operations) => self.archive.param(operations, time)?.1,
             None => Values::U8(Vec::new()),
         };
         let Values::U8(operations) = operations else {

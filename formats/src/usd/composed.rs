@@ -45,9 +45,7 @@ struct LayerFile<'a> {
 
 /// A layer with its sublayers, as indices into the files, strongest first, and the offset and scale of the
 /// time of each.
-struct LayerStack {
-    layers: Vec<(usize, Retime)>,
-}
+type LayerStack = Vec<(usize, Retime)>;
 
 /// The offset and scale that turn a time code of a layer into one of the stage.
 type Retime = [f64; 2];
@@ -199,13 +197,13 @@ impl<'a> ComposedStage<'a> {
 
     /// The stack of layers that starts with this file.
     fn stack(&self, first: usize) -> Result<usize> {
-        if let Some(found) = self.stacks.borrow().iter().position(|stack| stack.layers[0].0 == first) {
+        if let Some(found) = self.stacks.borrow().iter().position(|stack| stack[0].0 == first) {
             return Ok(found);
         }
         let mut layers = Vec::new();
         self.add_sublayers(first, [0.0, 1.0], &mut layers, 0)?;
         let mut stacks = self.stacks.borrow_mut();
-        stacks.push(Rc::new(LayerStack { layers }));
+        stacks.push(Rc::new(layers));
         Ok(stacks.len() - 1)
     }
 
@@ -291,7 +289,7 @@ impl<'a> ComposedStage<'a> {
         for site in sites {
             let stack = Rc::clone(&self.stacks.borrow()[site.stack]);
             all.extend(site.nodes.iter().map(|&(index, node)| {
-                let (layer, of_layer) = stack.layers[index];
+                let (layer, of_layer) = stack[index];
                 SiteNode { file: self.file(layer), node, of_layer, retime: combined(site.retime, of_layer) }
             }));
         }
@@ -378,7 +376,7 @@ impl<'a> ComposedStage<'a> {
 
     /// The site of the root of a stack.
     fn root(&self, stack: usize) -> Vec<Site> {
-        let count = self.stacks.borrow()[stack].layers.len();
+        let count = self.stacks.borrow()[stack].len();
         vec![Site { stack, nodes: (0..count).map(|layer| (layer, 0)).collect(), retime: [0.0, 1.0] }]
     }
 
@@ -394,7 +392,7 @@ impl<'a> ComposedStage<'a> {
     fn child_site(&self, site: &Site, name: &str) -> Site {
         let stack = Rc::clone(&self.stacks.borrow()[site.stack]);
         let child = |&(index, node): &(usize, usize)| {
-            Some((index, self.file(stack.layers[index].0).layer.child(node, name)?))
+            Some((index, self.file(stack[index].0).layer.child(node, name)?))
         };
         Site { nodes: site.nodes.iter().filter_map(child).collect(), ..*site }
     }
@@ -457,13 +455,13 @@ impl<'a> ComposedStage<'a> {
         let mut retime = combined(site.retime, arc.retime);
         let mut target = site.stack;
         if !arc.asset.is_empty() {
-            let own = self.stacks.borrow()[site.stack].layers[0].0;
+            let own = self.stacks.borrow()[site.stack][0].0;
             let further = self.further_file(own, &arc.asset, &excerpt(path))?;
             retime[1] *=
                 codes_per_second(&self.file(own).layer)? / codes_per_second(&self.file(further).layer)?;
             target = self.stack(further)?;
         }
-        let first = self.stacks.borrow()[target].layers[0].0;
+        let first = self.stacks.borrow()[target][0].0;
         let prim = match arc.prim.as_str() {
             "" => self.file(first).layer.word(0, "defaultPrim")?.unwrap_or_default(),
             prim => prim.to_owned(),

@@ -102,6 +102,72 @@ pub(crate) enum ArrayElement {
     Words,
 }
 
+/// The types of numbers: their codes in binary files, their names in texts, the numbers, and how many.
+const NUMBER_TYPES: [(u8, &str, NumberType, usize); 16] = {
+    use NumberType::{Bool, F16, F32, F64, I32, I64, U8, U32, U64};
+    [
+        (1, "bool", Bool, 1),
+        (2, "uchar", U8, 1),
+        (3, "int", I32, 1),
+        (4, "uint", U32, 1),
+        (5, "int64", I64, 1),
+        (6, "uint64", U64, 1),
+        (7, "half", F16, 1),
+        (8, "float", F32, 1),
+        (9, "double", F64, 1),
+        (13, "matrix2d", F64, 4),
+        (14, "matrix3d", F64, 9),
+        (15, "matrix4d", F64, 16),
+        (16, "quatd", F64, 4),
+        (17, "quatf", F32, 4),
+        (18, "quath", F16, 4),
+        (56, "timecode", F64, 1),
+    ]
+};
+
+impl ArrayElement {
+    /// The elements of values with this code in a binary file; `None` if they are neither numbers nor words.
+    pub(crate) fn of_code(code: u8) -> Option<ArrayElement> {
+        use NumberType::{F16, F32, F64, I32};
+        let numbers = match code {
+            10..=12 => return Some(ArrayElement::Words),
+            19..=30 => {
+                let index = usize::from(code - 19);
+                ([F64, F32, F16, I32][index % 4], 2 + index / 4)
+            }
+            42..=44 => (I32, 1), // specifiers, permissions and variabilities
+            _ => {
+                let (.., number, arity) = *NUMBER_TYPES.iter().find(|(known, ..)| *known == code)?;
+                (number, arity)
+            }
+        };
+        Some(ArrayElement::Numbers(numbers.0, numbers.1))
+    }
+
+    /// The elements of an array of this type, such as `point3f`.
+    pub(crate) fn named(name: &str) -> Option<ArrayElement> {
+        let find = |name: &str| NUMBER_TYPES.iter().find(|(_, known, ..)| *known == name);
+        let name = if name == "frame4d" { "matrix4d" } else { name };
+        if ["string", "token", "asset"].contains(&name) {
+            return Some(ArrayElement::Words);
+        } else if let Some(&(.., number, arity)) = find(name) {
+            return Some(ArrayElement::Numbers(number, arity));
+        }
+        // `float3` or, with a role, `point3f`
+        let (stem, rest) = name.split_at(name.find(|c: char| c.is_ascii_digit())?);
+        let arity = ["2", "3", "4"].iter().position(|digit| rest.starts_with(digit))? + 2;
+        let has_role = ["point", "normal", "vector", "color", "texCoord"].contains(&stem);
+        let scalar = match (stem, &rest[1..]) {
+            ("int" | "half" | "float" | "double", "") => stem,
+            (_, "h") if has_role => "half",
+            (_, "f") if has_role => "float",
+            (_, "d") if has_role => "double",
+            _ => return None,
+        };
+        find(scalar).map(|(.., number, _)| ArrayElement::Numbers(*number, arity))
+    }
+}
+
 /// The values of a property over time, in the order of time codes.
 #[derive(Debug)]
 pub(crate) struct TimeSamples {
@@ -111,7 +177,7 @@ pub(crate) struct TimeSamples {
 }
 
 /// A reference or a payload, or a sublayer.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct LayerArc {
     /// The path of the file; empty for the same layer.
     pub(crate) asset: String,
@@ -122,19 +188,13 @@ pub(crate) struct LayerArc {
 }
 
 /// An edit of the list in weaker layers.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct ListEdits<T> {
     /// Replaces the list.
     pub(crate) explicit: Option<Vec<T>>,
     pub(crate) deleted: Vec<T>,
     pub(crate) prepended: Vec<T>,
     pub(crate) appended: Vec<T>,
-}
-
-impl<T> Default for ListEdits<T> {
-    fn default() -> ListEdits<T> {
-        ListEdits { explicit: None, deleted: Vec::new(), prepended: Vec::new(), appended: Vec::new() }
-    }
 }
 
 impl<T: Clone + PartialEq> ListEdits<T> {

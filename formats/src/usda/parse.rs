@@ -413,7 +413,7 @@ impl UsdaParser<'_, '_> {
         }
         let node = self.add(parent, &name)?;
         self.nodes[node].is_attribute = kind != "rel";
-        let element = element_type(&kind).filter(|_| is_array);
+        let element = ArrayElement::named(&kind).filter(|_| is_array);
         let shown = if is_array { kind + "[]" } else { kind };
         self.set(node, "typeName", Value::Word(shown));
         if self.text.takes(b'=')? {
@@ -650,46 +650,6 @@ fn with_edit<T>(mut edits: ListEdits<T>, edit: Option<&str>, items: Vec<T>) -> L
         Some(_) => edits.appended.extend(items),
     }
     edits
-}
-
-/// The elements of an array of this type, such as `point3f`.
-fn element_type(kind: &str) -> Option<ArrayElement> {
-    use NumberType::{Bool, F16, F32, F64, I32, I64, U8, U32, U64};
-    let (number, arity) = match kind {
-        "string" | "token" | "asset" => return Some(ArrayElement::Words),
-        "bool" => (Bool, 1),
-        "uchar" => (U8, 1),
-        "int" => (I32, 1),
-        "uint" => (U32, 1),
-        "int64" => (I64, 1),
-        "uint64" => (U64, 1),
-        "half" => (F16, 1),
-        "float" => (F32, 1),
-        "double" | "timecode" => (F64, 1),
-        "quath" => (F16, 4),
-        "quatf" => (F32, 4),
-        "quatd" | "matrix2d" => (F64, 4),
-        "matrix3d" => (F64, 9),
-        "matrix4d" | "frame4d" => (F64, 16),
-        // `float3` or, with a role, `point3f`
-        _ => {
-            let (stem, rest) = kind.split_at(kind.find(|c: char| c.is_ascii_digit())?);
-            let arity = ["2", "3", "4"].iter().position(|digit| rest.starts_with(digit))? + 2;
-            let has_role = ["point", "normal", "vector", "color", "texCoord"].contains(&stem);
-            let number = match (stem, &rest[1..]) {
-                ("int", "") => I32,
-                ("half", "") => F16,
-                ("float", "") => F32,
-                ("double", "") => F64,
-                (_, "h") if has_role => F16,
-                (_, "f") if has_role => F32,
-                (_, "d") if has_role => F64,
-                _ => return None,
-            };
-            (number, arity)
-        }
-    };
-    Some(ArrayElement::Numbers(number, arity))
 }
 
 /// Reads the array in these bytes, which start at a line: the number of values per element, and all values.

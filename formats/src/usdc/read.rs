@@ -260,14 +260,14 @@ impl<'a> CrateFile<'a> {
             return Ok(Value::Unread("an edit of an array"));
         }
         if rep.is_array() {
-            let is_read = element_type(code).is_some();
+            let is_read = ArrayElement::of_code(code).is_some();
             return Ok(if is_read {
                 Value::Array(ArrayPlace::Binary(rep.0))
             } else {
                 Value::Unread("an array")
             });
         }
-        if let Some(ArrayElement::Numbers(number, arity)) = element_type(code) {
+        if let Some(ArrayElement::Numbers(number, arity)) = ArrayElement::of_code(code) {
             return self.numbers(rep, number, arity, what).map(Value::Numbers);
         }
         let inlined = u32::try_from(rep.payload()).unwrap_or(u32::MAX);
@@ -390,8 +390,9 @@ impl<'a> CrateFile<'a> {
     /// The number of values per element of an array, and all values.
     pub(crate) fn array(&self, rep: u64, what: &str) -> Result<(usize, Values)> {
         let rep = ValueRep(rep);
-        let kind =
-            element_type(rep.type_code()).filter(|_| rep.is_array()).ok_or_else(|| unexpected(what))?;
+        let kind = ArrayElement::of_code(rep.type_code())
+            .filter(|_| rep.is_array())
+            .ok_or_else(|| unexpected(what))?;
         let mut cursor = self.at(rep.payload())?;
         let count = match rep.payload() {
             0 => 0,
@@ -464,35 +465,6 @@ fn compressed(cursor: &mut CrateCursor, number: NumberType, count: usize, what: 
     };
     let values = gathered(&table, 1, &indices);
     values.ok_or_else(|| at.invalid(format!("an index of {what} is beyond the end of its table")))
-}
-
-/// The elements of values with this type; `None` if they are neither numbers nor words.
-fn element_type(code: u8) -> Option<ArrayElement> {
-    use NumberType::{Bool, F16, F32, F64, I32, I64, U8, U32, U64};
-    let (number, arity) = match code {
-        1 => (Bool, 1),
-        2 => (U8, 1),
-        3 | 42..=44 => (I32, 1), // also specifiers, permissions and variabilities
-        4 => (U32, 1),
-        5 => (I64, 1),
-        6 => (U64, 1),
-        7 => (F16, 1),
-        8 => (F32, 1),
-        9 | 56 => (F64, 1), // also time codes
-        10..=12 => return Some(ArrayElement::Words),
-        13 => (F64, 4), // matrices
-        14 => (F64, 9),
-        15 => (F64, 16),
-        16 => (F64, 4), // quaternions
-        17 => (F32, 4),
-        18 => (F16, 4),
-        19..=30 => {
-            let number = [F64, F32, F16, I32][usize::from(code - 19) % 4];
-            (number, 2 + usize::from(code - 19) / 4)
-        }
-        _ => return None,
-    };
-    Some(ArrayElement::Numbers(number, arity))
 }
 
 /// Moves the real part of a quaternion, which is the last number in the file, to the front, as in the text form.
