@@ -443,14 +443,11 @@ impl ItemReader<'_, '_> {
                 self.spend(count, item.text)?;
                 let size =
                     count.checked_mul(number.size() as u64).and_then(|size| size.checked_add(item.seek));
-                let end = size.filter(|&end| file.size_bytes().is_ok_and(|bytes| end <= bytes)).ok_or_else(
-                    || {
-                        malformed(
-                            item.at,
-                            format!("the file {} has fewer than {count} numbers", excerpt(item.text)),
-                        )
-                    },
-                )?;
+                let available = file.size_bytes()?;
+                let end = size.filter(|&end| end <= available).ok_or_else(|| {
+                    let path = excerpt(item.text);
+                    malformed(item.at, format!("the file {path} has fewer than {count} numbers"))
+                })?;
                 Ok(number.decode(&batches::read(&*file, item.seek..end)?, item.endian))
             }
             other => Err(malformed(item.at, format!("the item has the unknown format {}", excerpt(other)))),

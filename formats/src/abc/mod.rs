@@ -477,7 +477,7 @@ pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribut
     let scene = Scene::open(&bytes, limits)?;
     let mesh = own_mesh(&scene)?;
     check_single_frame(&scene, limits)?;
-    let vertices = scene::positions(&scene, mesh, 0)?.len();
+    let vertices = scene::vectors(&scene, mesh.required(names::POSITIONS)?, 0)?.len();
     let attributes = frame_attributes(&scene, mesh, vertices)?;
     match attributes.iter().find(|attribute| attribute.values.len() != vertices * attribute.arity) {
         None => Ok(attributes),

@@ -11,7 +11,7 @@
 use super::FORMAT;
 use super::archive::{PropertyHeader, entry};
 use super::mesh::names;
-use super::scene::{Geometry, GeometryKind, Scene, positions};
+use super::scene::{Geometry, GeometryKind, Scene, vectors};
 use crate::batches::ReadAt;
 use crate::container::{ContainerFile, ContainerReader, Sample, frame_at};
 use crate::data::{FilePositions, ParticleFrame, Values};
@@ -108,8 +108,8 @@ impl PointsReader<'_> {
     fn part(&mut self, points: &Geometry) -> Result<ParticlePart> {
         let archive = &self.scene.archive;
         let matrix = self.scene.world(points, self.time)?;
-        let index = archive.index_at(points.required(names::POSITIONS)?, self.time);
-        let local = positions(self.scene, points, index)?;
+        let positions = points.required(names::POSITIONS)?;
+        let local = vectors(self.scene, positions, archive.index_at(positions, self.time))?;
         let count = local.len();
         let mut arrays = Vec::new();
         for (property, name) in

@@ -7,7 +7,7 @@ use super::FORMAT;
 use super::archive::{Archive, check_start, own_metadata};
 use super::document::{HEADER_BYTES, Pod, ROOT_CHILDREN};
 use super::mesh::names;
-use super::scene::{Geometry, GeometryKind, Scene, position_and_count_samples, positions, vectors};
+use super::scene::{Geometry, GeometryKind, Scene, vectors};
 use crate::batches::SeekFile;
 use crate::container::{ContainerFile, frame_at};
 use crate::data::MeshData;
@@ -119,7 +119,8 @@ pub fn read_sequence_info(
     let mut info = SequenceInfo { frames, ..SequenceInfo::default() };
     let mut last = None;
     for index in 0..mesh.required(names::POSITIONS)?.sample_count {
-        let samples = position_and_count_samples(&scene, mesh, index)?;
+        let sample = |name: &str| scene.archive.sample(mesh.required(name)?, index);
+        let samples = [sample(names::POSITIONS)?, sample(names::COUNTS)?];
         // A frame may have two samples, which refer to the same data.
         if last.replace(samples) != Some(samples) {
             let [positions, counts] = samples;
@@ -221,7 +222,8 @@ pub(super) struct SampledMesh {
 impl SampledMesh {
     pub(super) fn read(scene: &Scene, mesh: &Geometry, time: Option<f64>) -> Result<SampledMesh> {
         let archive = &scene.archive;
-        let positions = positions(scene, mesh, archive.index_at(mesh.required(names::POSITIONS)?, time))?;
+        let positions = mesh.required(names::POSITIONS)?;
+        let positions = vectors(scene, positions, archive.index_at(positions, time))?;
         // Normals with indices, and those of corners, are a compound or have another length.
         let normals = match mesh.property(names::NORMALS).filter(|property| property.pod().is_some()) {
             Some(normals) => vectors(scene, normals, archive.index_at(normals, time))?,

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 
 use super::FORMAT;
 use super::archive::{Archive, ObjectHeader, PropertyHeader, TIME_TOLERANCE, entry};
-use super::document::{Pod, Reference};
+use super::document::Pod;
 use super::mesh::names;
 use crate::batches::ReadAt;
 use crate::data::Values;
@@ -290,28 +290,12 @@ pub(super) fn operation_matrix(operation: u8, values: &[f64]) -> Matrix {
     matrix
 }
 
-/// Reads the positions of a sample, before their transform.
-pub(super) fn positions(scene: &Scene, geometry: &Geometry, index: u32) -> Result<Vec<[f32; 3]>> {
-    vectors(scene, geometry.required(names::POSITIONS)?, index)
-}
-
 /// Reads the vectors of a sample.
 pub(super) fn vectors(scene: &Scene, property: &PropertyHeader, index: u32) -> Result<Vec<[f32; 3]>> {
     let vectors = scene.archive.elements::<12>(property, (Pod::F32, 3), index)?;
-    Ok(vectors.iter().map(vector).collect())
-}
-
-fn vector(bytes: &[u8; 12]) -> [f32; 3] {
-    let [a, b, c, d, e, f, g, h, rest @ ..] = *bytes;
-    [[a, b, c, d], [e, f, g, h], rest].map(f32::from_le_bytes)
-}
-
-/// The data of the positions and of the corner counts of a sample.
-pub(super) fn position_and_count_samples(
-    scene: &Scene,
-    mesh: &Geometry,
-    index: u32,
-) -> Result<[Option<Reference>; 2]> {
-    let sample = |name: &str| scene.archive.sample(mesh.required(name)?, index);
-    Ok([sample(names::POSITIONS)?, sample(names::COUNTS)?])
+    let decoded = |bytes: &[u8; 12]| {
+        let [a, b, c, d, e, f, g, h, rest @ ..] = *bytes;
+        [[a, b, c, d], [e, f, g, h], rest].map(f32::from_le_bytes)
+    };
+    Ok(vectors.iter().map(decoded).collect())
 }

@@ -157,7 +157,7 @@ fn points_of_all_objects_are_read_in_world_space() {
     let frame = read(&bytes, 1).expect("read");
     assert_eq!(rounded(&frame), [[20.0, 0.0, 0.0], [20.0, 0.0, 6.0]]);
     assert!(described(&frame).is_empty(), "{:?}", frame.attributes);
-    assert!(read(&bytes, 3).is_err_and(|error| error.to_string().contains("has 3 samples; expected 4")));
+    assert!(read(&bytes, 3).is_err_and(|error| error.to_string().contains("no frame 3: the file has 3")));
 }
 
 #[test]

@@ -155,22 +155,20 @@ impl PointPrims {
                 .notes
                 .push(format!("skipped prims for purposes other than rendering: {}", excerpts(&unrendered)));
         }
-        if found.prims.is_empty() && others.contains_key("Mesh") {
+        if !found.prims.is_empty() {
+            return Ok(found);
+        }
+        if others.contains_key("Mesh") {
             return Err(Error::unsupported(FORMAT, crate::MESH_REFUSAL));
         }
-        if found.prims.is_empty() {
-            let others: Vec<String> = others
-                .into_iter()
-                .filter(|(kind, _)| !kind.is_empty())
-                .map(|(kind, count)| format!("{count} {}", excerpt(kind)))
-                .collect();
-            let what = format!(
-                "the stage has no prims of the type Points or PointInstancer; it has {}",
-                if others.is_empty() { "no others".to_owned() } else { others.join(", ") }
-            );
-            return Err(Error::unsupported(FORMAT, what));
-        }
-        Ok(found)
+        others.remove("");
+        let others: Vec<String> =
+            others.into_iter().map(|(kind, count)| format!("{count} {}", excerpt(kind))).collect();
+        let what = format!(
+            "the stage has no prims of the type Points or PointInstancer; it has {}",
+            if others.is_empty() { "no others".to_owned() } else { others.join(", ") }
+        );
+        Err(Error::unsupported(FORMAT, what))
     }
 }
 

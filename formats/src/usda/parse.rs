@@ -156,17 +156,18 @@ impl<'t, 'a> WindowedText<'t, 'a> {
     }
 
     fn expect(&mut self, byte: u8) -> Result<()> {
-        match self.ahead()? {
-            Some(found) if found == byte => {
-                self.bump();
-                Ok(())
-            }
-            Some(found) => Err(self.invalid(format!(
-                "expected `{}`, found `{}`",
-                byte.escape_ascii(),
-                found.escape_ascii()
-            ))),
-            None => Err(self.ended()),
+        match self.takes(byte)? {
+            true => Ok(()),
+            false => Err(self.unexpected(&format!("`{}`", byte.escape_ascii()))),
+        }
+    }
+
+    /// The error for the next byte, or for the end.
+    fn unexpected(&mut self, expected: &str) -> Error {
+        match self.peek() {
+            Ok(Some(found)) => self.invalid(format!("expected {expected}, found `{}`", found.escape_ascii())),
+            Ok(None) => self.ended(),
+            Err(error) => error,
         }
     }
 
@@ -200,29 +201,25 @@ impl<'t, 'a> WindowedText<'t, 'a> {
         let word =
             self.take_while(|byte| byte.is_ascii_alphanumeric() || byte >= 0x80 || b"_:|".contains(&byte))?;
         if word.is_empty() {
-            return Err(match self.peek()? {
-                Some(byte) => self.invalid(format!("expected a word, found `{}`", byte.escape_ascii())),
-                None => self.ended(),
-            });
+            return Err(self.unexpected("a word"));
         }
         Ok(word)
     }
 
     fn number(&mut self) -> Result<f64> {
         let word = self.take_while(|byte| byte.is_ascii_alphanumeric() || b"+-._".contains(&byte))?;
-        if word.is_empty() && self.peek()?.is_none() {
-            return Err(self.ended());
+        if word.is_empty() {
+            return Err(self.unexpected("a number"));
         }
         parsed(&word).ok_or_else(|| self.invalid(format!("expected a number, found `{}`", excerpt(&word))))
     }
 
     /// A string in single, double or triple quotes, the path of a file, or a path in angle brackets.
     fn quoted(&mut self) -> Result<String> {
-        let open = self.ahead()?.ok_or_else(|| self.ended())?;
-        let close = match open {
-            b'"' | b'\'' | b'@' => open,
-            b'<' => b'>',
-            _ => return Err(self.invalid(format!("expected a string, found `{}`", open.escape_ascii()))),
+        let (open, close) = match self.ahead()? {
+            Some(open @ (b'"' | b'\'' | b'@')) => (open, open),
+            Some(b'<') => (b'<', b'>'),
+            _ => return Err(self.unexpected("a string")),
         };
         self.bump();
         let is_triple = open != b'<' && self.peek()? == Some(open) && self.peek_at(1)? == Some(open);
@@ -711,28 +708,27 @@ fn elements(
     let (mut depth, mut found) = (0, 0);
     text.expect(b'[')?;
     loop {
-        match text.ahead()?.ok_or_else(|| text.ended())? {
-            b',' => text.bump(),
-            b'(' if depth < 2 && arity > 1 => {
-                text.bump();
-                depth += 1;
-            }
+        let byte = text.ahead()?.ok_or_else(|| text.ended())?;
+        match byte {
+            b',' => {}
+            b'(' if depth < 2 && arity > 1 => depth += 1,
             b')' if depth > 0 => {
-                text.bump();
                 depth -= 1;
                 if depth == 0 && std::mem::take(&mut found) != arity {
                     return Err(text.invalid(format!("expected {arity} numbers in parentheses")));
                 }
             }
-            b']' if depth == 0 => {
-                text.bump();
-                return Ok(());
-            }
+            b']' if depth == 0 => {}
             _ if depth == 0 && arity > 1 => return Err(text.invalid("expected `(`")),
             _ => {
                 value(text)?;
                 found += 1;
+                continue;
             }
+        }
+        text.bump();
+        if byte == b']' {
+            return Ok(());
         }
     }
 }

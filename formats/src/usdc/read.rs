@@ -565,12 +565,7 @@ impl CrateCursor<'_, '_> {
 
     fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N]> {
         let mut array = [0; N];
-        if self.source.length() - self.at < N as u64 {
-            let what = format!("expected {N} bytes of {what}, found the end");
-            return Err(Error::truncated(FORMAT, Position::Offset(self.at), what));
-        }
-        self.source.read(&mut array, self.at)?;
-        self.at += N as u64;
+        array.copy_from_slice(&self.take(N as u64, what)?);
         Ok(array)
     }
 
