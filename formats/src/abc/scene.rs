@@ -223,12 +223,11 @@ impl<'a> Scene<'a> {
         let Values::F64(numbers) = self.archive.param(numbers, time)?.1 else {
             return Err(invalid("a transform has values that are not 64-bit floats".to_owned()));
         };
-        let operations = match property(names::OPERATIONS) {
-            Some(operations) => self.archive.param(operations, time)?.1,
-            None => Values::U8(Vec::new()),
-        };
-        let Values::U8(operations) = operations else {
-            return Err(invalid("a transform has operations that are not bytes".to_owned()));
+        let operations = property(names::OPERATIONS).map(|property| self.archive.param(property, time));
+        let operations = match operations.transpose()? {
+            None => Vec::new(),
+            Some((_, Values::U8(operations))) => operations,
+            Some(_) => return Err(invalid("a transform has operations that are not bytes".to_owned())),
         };
         let (mut matrix, mut rest) = (IDENTITY, &*numbers);
         for operation in operations {

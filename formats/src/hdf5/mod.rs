@@ -179,7 +179,7 @@ fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Resu
     for _ in 0..=DEPTH_MAX {
         let (mut found, mut below) = (Vec::new(), Vec::new());
         for (path, group) in level {
-            let (groups, data_sets) = file.members(&group)?;
+            let (mut groups, data_sets) = file.members(&group)?;
             let mut own_notes = Vec::new();
             let tables = tables_of(file, &group, &path, (&groups, &data_sets), &mut own_notes)?;
             if let Some(particle_count) = count_of(&tables) {
@@ -187,7 +187,9 @@ fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Resu
                 continue;
             }
             notes.extend(own_notes);
-            for name in sorted(groups) {
+            // SWIFT has further names for the groups of GADGET.
+            groups.sort_by_key(|name| !name.starts_with("PartType"));
+            for name in groups {
                 let group = file.group(&group, &name)?;
                 if visited.insert(group.address()) {
                     below.push((format!("{path}/{name}"), group));
@@ -202,12 +204,6 @@ fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Resu
         level = below;
     }
     Ok(None)
-}
-
-/// The names of groups, with those of GADGET first: SWIFT has further names for the same groups.
-fn sorted(mut groups: Vec<String>) -> Vec<String> {
-    groups.sort_by_key(|name| !name.starts_with("PartType"));
-    groups
 }
 
 /// The fluid among the groups, or the first one.

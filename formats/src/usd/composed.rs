@@ -178,11 +178,8 @@ impl<'a> ComposedStage<'a> {
     /// The file with this path, in the folder or in the package of another one. `place` is what refers to it.
     fn further_file(&self, from: usize, path: &str, place: &str) -> Result<usize> {
         let from = self.file(from);
-        let is_found = |file: &Rc<LayerFile>| {
-            let package =
-                |file: &LayerFile| file.package.as_ref().map(Rc::as_ptr).map(<*const Package>::addr);
-            file.path == path && package(file) == package(&from)
-        };
+        let package = |file: &LayerFile| file.package.as_ref().map(Rc::as_ptr).map(<*const Package>::addr);
+        let is_found = |file: &Rc<LayerFile>| file.path == path && package(file) == package(&from);
         if let Some(index) = self.files.borrow().iter().position(is_found) {
             return Ok(index);
         }

@@ -52,12 +52,12 @@ pub(crate) enum NodeFields {
     /// In a binary file: the index of the first one in its table of field sets.
     Set(usize),
     /// In a text.
-    List(Vec<(String, Value)>),
+    Map(HashMap<String, Value>),
 }
 
 impl Default for NodeFields {
     fn default() -> NodeFields {
-        NodeFields::List(Vec::new())
+        NodeFields::Map(HashMap::new())
     }
 }
 
@@ -129,19 +129,16 @@ impl ArrayElement {
     /// The elements of values with this code in a binary file; `None` if they are neither numbers nor words.
     pub(crate) fn of_code(code: u8) -> Option<ArrayElement> {
         use NumberType::{F16, F32, F64, I32};
-        let numbers = match code {
+        let (number, arity) = match code {
             10..=12 => return Some(ArrayElement::Words),
             19..=30 => {
                 let index = usize::from(code - 19);
                 ([F64, F32, F16, I32][index % 4], 2 + index / 4)
             }
             42..=44 => (I32, 1), // specifiers, permissions and variabilities
-            _ => {
-                let (.., number, arity) = *NUMBER_TYPES.iter().find(|(known, ..)| *known == code)?;
-                (number, arity)
-            }
+            _ => NUMBER_TYPES.iter().find(|row| row.0 == code).map(|row| (row.2, row.3))?,
         };
-        Some(ArrayElement::Numbers(numbers.0, numbers.1))
+        Some(ArrayElement::Numbers(number, arity))
     }
 
     /// The elements of an array of this type, such as `point3f`.
@@ -242,9 +239,7 @@ impl<'a> Layer<'a> {
     pub(crate) fn field(&self, node: usize, name: &str) -> Result<Option<Value>> {
         match (&self.nodes[node].fields, &self.source) {
             (NodeFields::Set(first), LayerSource::Binary(file)) => file.field(*first, name),
-            (NodeFields::List(fields), _) => {
-                Ok(fields.iter().find(|(field, _)| field == name).map(|(_, value)| value.clone()))
-            }
+            (NodeFields::Map(fields), _) => Ok(fields.get(name).cloned()),
             (NodeFields::Set(_), LayerSource::Text(_)) => Ok(None),
         }
     }
@@ -282,15 +277,9 @@ impl<'a> Layer<'a> {
         {
             return Ok(names);
         }
-        let is_prim = |child: &&usize| {
-            !self.nodes[**child].name.starts_with('{') && self.nodes[**child].fields.has("specifier")
-        };
-        Ok(self.nodes[node]
-            .order
-            .iter()
-            .filter(is_prim)
-            .map(|child| self.nodes[*child].name.to_string())
-            .collect())
+        let children = self.nodes[node].order.iter().map(|child| &self.nodes[*child]);
+        let prims = children.filter(|child| !child.name.starts_with('{') && child.fields.has("specifier"));
+        Ok(prims.map(|child| child.name.to_string()).collect())
     }
 
     /// Reads an array. The table of strings has an element for each element of the array.
@@ -361,21 +350,20 @@ pub(crate) fn add_node(nodes: &mut Vec<LayerNode>, parent: usize, node: LayerNod
 impl NodeFields {
     /// Whether a text has a field.
     pub(crate) fn has(&self, name: &str) -> bool {
-        matches!(self, NodeFields::List(fields) if fields.iter().any(|(field, _)| field == name))
+        matches!(self, NodeFields::Map(fields) if fields.contains_key(name))
     }
 
     /// Removes a field of a text.
     pub(crate) fn take(&mut self, name: &str) -> Option<Value> {
-        let NodeFields::List(fields) = self else { return None };
-        let index = fields.iter().position(|(field, _)| field == name)?;
-        Some(fields.swap_remove(index).1)
+        let NodeFields::Map(fields) = self else { return None };
+        fields.remove(name)
     }
 
     /// Sets a field of a text.
     pub(crate) fn set(&mut self, name: &str, value: Value) {
-        let NodeFields::List(fields) = self else { return };
-        fields.retain(|(field, _)| field != name);
-        fields.push((name.to_owned(), value));
+        if let NodeFields::Map(fields) = self {
+            fields.insert(name.to_owned(), value);
+        }
     }
 }
 

@@ -199,8 +199,7 @@ fn matrix_of(kind: &str, numbers: &[f64]) -> Option<PrimMatrix> {
             }
         }
         ("transform", values) if values.len() == 16 => {
-            let (rows, _) = values.as_chunks::<4>();
-            (0..4).for_each(|row| matrix[row] = rows[row]);
+            matrix.as_flattened_mut().copy_from_slice(values);
         }
         _ => {
             let (stem, axes) = ["translate", "scale", "rotate"]

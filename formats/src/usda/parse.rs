@@ -404,10 +404,7 @@ impl UsdaParser<'_, '_> {
             self.text.expect(b']')?;
         }
         let name = self.text.word()?;
-        let mut suffix = String::new();
-        if self.text.takes(b'.')? {
-            suffix = self.text.word()?;
-        }
+        let suffix = if self.text.takes(b'.')? { self.text.word()? } else { String::new() };
         let node = self.add(parent, &name)?;
         self.nodes[node].is_attribute = kind != "rel";
         let element = ArrayElement::named(&kind).filter(|_| is_array);

@@ -145,15 +145,14 @@ fn no_other_file(path: &str) -> io::Result<Box<dyn ReadAt>> {
 }
 
 fn layer_info(layer: &Layer) -> Result<LayerInfo> {
-    let entries = |value: Option<Value>| match value {
-        Some(Value::Dictionary(entries)) => entries,
-        _ => Vec::new(),
+    let entry = |dictionary: &Option<Value>, name: &str| match dictionary {
+        Some(Value::Dictionary(entries)) => {
+            let found = entries.iter().find(|(key, _)| key == name);
+            found.map(|(_, value)| layer.resolved(value, name)).transpose()
+        }
+        _ => Ok(None),
     };
-    let entry = |entries: &[(String, Value)], name: &str| {
-        let found = entries.iter().find(|(key, _)| key == name).map(|(_, value)| value);
-        found.map(|value| layer.resolved(value, name)).transpose()
-    };
-    let counts = entries(entry(&entries(layer.field(0, "customLayerData")?), "meniscus_mesh")?);
+    let counts = entry(&layer.field(0, "customLayerData")?, "meniscus_mesh")?;
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a count")]
     let number = |name: &str| -> Result<Option<u64>> {
         Ok(entry(&counts, name)?.and_then(|value| value.number()).map(|number| number as u64))

@@ -189,7 +189,7 @@ impl<'a> CrateFile<'a> {
         }
         match &nodes[0].fields {
             NodeFields::Set(_) => Ok(nodes),
-            NodeFields::List(_) => Err(Error::invalid(FORMAT, Position::File, "the layer has no root")),
+            NodeFields::Map(_) => Err(Error::invalid(FORMAT, Position::File, "the layer has no root")),
         }
     }
 
@@ -260,12 +260,8 @@ impl<'a> CrateFile<'a> {
             return Ok(Value::Unread("an edit of an array"));
         }
         if rep.is_array() {
-            let is_read = ArrayElement::of_code(code).is_some();
-            return Ok(if is_read {
-                Value::Array(ArrayPlace::Binary(rep.0))
-            } else {
-                Value::Unread("an array")
-            });
+            let array = ArrayElement::of_code(code).map(|_| Value::Array(ArrayPlace::Binary(rep.0)));
+            return Ok(array.unwrap_or(Value::Unread("an array")));
         }
         if let Some(ArrayElement::Numbers(number, arity)) = ArrayElement::of_code(code) {
             return self.numbers(rep, number, arity, what).map(Value::Numbers);

@@ -344,41 +344,23 @@ fn take_array<'a>(
 
 fn data_array<'a>(tag: &BytesStart, at: u64) -> Result<DataArray<'a>> {
     let name = attribute(tag, "Name", at)?.unwrap_or_default();
+    let invalid = |what: String| malformed(at, format!("the array `{}` has {what}", excerpt(&name)));
     let arity = match attribute(tag, "NumberOfComponents", at)? {
         None => 1,
-        Some(text) => text.trim().parse().map_err(|_| {
-            malformed(
-                at,
-                format!(
-                    "the array `{}` has \"{}\" components, which is not a number",
-                    excerpt(&name),
-                    excerpt(&text)
-                ),
-            )
-        })?,
+        Some(text) => {
+            let wrong = |_| invalid(format!("\"{}\" components, which is not a number", excerpt(&text)));
+            text.trim().parse().map_err(wrong)?
+        }
     };
     let form = match attribute(tag, "format", at)?.as_deref() {
         None | Some("ascii") => ArrayForm::Ascii,
         Some("binary") => ArrayForm::Binary,
         Some("appended") => {
             let offset = attribute(tag, "offset", at)?.unwrap_or_default();
-            ArrayForm::Appended(offset.trim().parse().map_err(|_| {
-                malformed(
-                    at,
-                    format!(
-                        "the array `{}` has the offset \"{}\", which is not a number",
-                        excerpt(&name),
-                        excerpt(&offset)
-                    ),
-                )
-            })?)
+            let wrong = |_| invalid(format!("the offset \"{}\", which is not a number", excerpt(&offset)));
+            ArrayForm::Appended(offset.trim().parse().map_err(wrong)?)
         }
-        Some(other) => {
-            return Err(malformed(
-                at,
-                format!("the array `{}` has the unknown format \"{}\"", excerpt(&name), excerpt(other)),
-            ));
-        }
+        Some(other) => return Err(invalid(format!("the unknown format \"{}\"", excerpt(other)))),
     };
     let number = NumberType::named(&attribute(tag, "type", at)?.unwrap_or_default());
     Ok(DataArray { name, number, arity, form, content: &[], offset: at })
