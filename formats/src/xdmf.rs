@@ -192,8 +192,9 @@ fn found_grids(text: &str, limits: &Limits) -> Result<Vec<XdmfFrame>> {
                 let grid = open.pop().ok_or_else(|| malformed(range.start, "expected no </Grid>"))?;
                 if grid.is_uniform {
                     limits.check_step(FORMAT, found.len())?;
-                    let at = [grid.start, range.end].map(|at| usize::try_from(at).unwrap_or(usize::MAX));
-                    found.push(XdmfFrame { time: None, step: grid.step, grids: vec![at[0]..at[1]] });
+                    let at = |offset: u64| usize::try_from(offset).unwrap_or(usize::MAX);
+                    let range = at(grid.start)..at(range.end);
+                    found.push(XdmfFrame { time: None, step: grid.step, grids: vec![range] });
                 }
                 for inner in &mut found[grid.grids_before..] {
                     inner.time = inner.time.or(grid.time);

@@ -156,10 +156,10 @@ impl<'t, 'a> WindowedText<'t, 'a> {
     }
 
     fn expect(&mut self, byte: u8) -> Result<()> {
-        match self.takes(byte)? {
-            true => Ok(()),
-            false => Err(self.unexpected(&format!("`{}`", byte.escape_ascii()))),
+        if self.takes(byte)? {
+            return Ok(());
         }
+        Err(self.unexpected(&format!("`{}`", byte.escape_ascii())))
     }
 
     /// The error for the next byte, or for the end.
