@@ -10,8 +10,9 @@
 //! lists before the end of the vertices, and for classic BGEO. Text and compressed files must be read whole.
 //! Positions, attributes and errors are exactly those of [`crate::read_particles`].
 
+use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::{fmt, io};
 
 use crate::data::{FilePositions, ParticleFrame};
@@ -196,6 +197,21 @@ impl<T: ReadAt + Send + ?Sized> ReadAt for Arc<T> {
 
     fn read_exact_at(&self, out: &mut [u8], offset: u64) -> io::Result<()> {
         (**self).read_exact_at(out, offset)
+    }
+}
+
+/// A file that has one position for all reads.
+pub(crate) struct SeekFile<F>(pub(crate) Mutex<F>);
+
+impl<F: Read + Seek + Send> ReadAt for SeekFile<F> {
+    fn size_bytes(&self) -> io::Result<u64> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).seek(SeekFrom::End(0))
+    }
+
+    fn read_exact_at(&self, out: &mut [u8], offset: u64) -> io::Result<()> {
+        let mut file = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        file.seek(SeekFrom::Start(offset))?;
+        file.read_exact(out)
     }
 }
 

@@ -109,7 +109,7 @@ pub fn with_role(name: String, arity: usize, role: Option<AttributeRole>, values
     let role = role.filter(|&role| !is_text || role == AttributeRole::Kind);
     let mut attribute = FileAttribute { name, arity, role, values };
     if role == Some(AttributeRole::Radius) {
-        attribute.scale(radius_scale(&attribute.name));
+        attribute.values.scale(radius_scale(&attribute.name));
     }
     attribute
 }

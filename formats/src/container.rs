@@ -150,6 +150,14 @@ fn reader_of(kind: ProbedKind) -> Option<(Format, &'static ContainerReader)> {
     }
 }
 
+/// The frame with an index, among those of a file.
+pub(crate) fn frame_at<'f, T>(format: &'static str, frames: &'f [T], index: usize) -> Result<&'f T> {
+    frames.get(index).ok_or_else(|| {
+        let what = format!("there is no frame {index}: the file has {}", frames.len());
+        Error::invalid(format, Position::File, what)
+    })
+}
+
 impl ContainerReader {
     /// A container whose frames are in the file itself.
     pub(crate) const fn new(

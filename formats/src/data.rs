@@ -6,7 +6,7 @@
 use std::fmt;
 
 use crate::error::{Error, Position, Result};
-use crate::number::of_any_type;
+use crate::number::{of_any_type, wide};
 
 /// Particle positions, in the precision of the file.
 #[derive(Clone, Debug, PartialEq)]
@@ -215,29 +215,29 @@ impl FileAttribute {
     fn retain(&mut self, mask: &[bool]) {
         of_any_type!(&mut self.values, list => retain_rows(list, self.arity, mask));
     }
+}
 
+impl Values {
     /// Multiplies all values; integers become floats.
+    #[expect(clippy::cast_possible_truncation, reason = "the values have 32 bits")]
     pub(crate) fn scale(&mut self, factor: f64) {
         if factor == 1.0 {
             return;
         }
-        #[expect(clippy::cast_possible_truncation, reason = "the factor is a half, exact in both")]
-        let factor_f32 = factor as f32;
-        match &mut self.values {
-            Values::F32(values) => values.iter_mut().for_each(|value| *value *= factor_f32),
+        match self {
+            Values::F32(values) => {
+                values.iter_mut().for_each(|value| *value = (f64::from(*value) * factor) as f32);
+            }
             Values::F64(values) => values.iter_mut().for_each(|value| *value *= factor),
             Values::U8(values) => {
-                self.values =
-                    Values::F32(values.iter().map(|&value| f32::from(value) * factor_f32).collect());
-            }
-            Values::I32(values) => {
-                self.values = Values::F64(values.iter().map(|&value| f64::from(value) * factor).collect());
-            }
-            // The conversion is exact up to ±2⁵³, more than any radius needs.
-            Values::I64(values) => {
-                self.values = Values::F64(values.iter().map(|&value| value as f64 * factor).collect());
+                *self = Values::F32(values.iter().map(|&value| (f64::from(value) * factor) as f32).collect());
             }
             Values::Strings { .. } => {}
+            // The conversion is exact up to ±2⁵³, more than any radius needs.
+            Values::I32(_) | Values::I64(_) => {
+                *self = Values::F64(wide(self));
+                self.scale(factor);
+            }
         }
     }
 }
@@ -283,6 +283,17 @@ pub struct MeshView<'a> {
 /// The world position of a vertex of a mesh with this origin.
 pub(crate) fn world(origin: [f64; 3], position: [f32; 3]) -> [f64; 3] {
     std::array::from_fn(|axis| origin[axis] + f64::from(position[axis]))
+}
+
+/// The minimum and maximum corner of the bounding box; `None` without positions.
+pub(crate) fn bounds_of(positions: &[[f32; 3]]) -> Option<[[f32; 3]; 2]> {
+    let first = *positions.first()?;
+    Some(positions.iter().fold([first, first], |[low, high], position| {
+        [
+            std::array::from_fn(|axis| low[axis].min(position[axis])),
+            std::array::from_fn(|axis| high[axis].max(position[axis])),
+        ]
+    }))
 }
 
 impl MeshView<'_> {

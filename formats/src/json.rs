@@ -18,9 +18,9 @@ use crate::columns::{Columns, group_columns, of_integers, position_rank, role_of
 use crate::data::{ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, frame_of, widened};
+use crate::named_arrays::{NamedArray, frame_of};
 use crate::npy::unnamed_frame;
-use crate::number::interleaved;
+use crate::number::{interleaved, wide};
 use crate::row::{FormatRow, ParticleReader};
 use crate::text::{excerpt, excerpts, line_number};
 
@@ -102,7 +102,7 @@ impl JsonList {
     }
 
     fn widen(&mut self) {
-        self.values = widened(&self.values).unwrap_or(Values::F64(Vec::new()));
+        self.values = Values::F64(wide(&self.values));
     }
 
     /// Reads the numbers of a particle: a number, or a list of as many as the particles before have.
@@ -375,11 +375,8 @@ fn no_positions(lists: &[JsonList], notes: &[String]) -> Error {
     let names = excerpts(lists.iter().map(|list| &list.name));
     let what = "no positions: expected [[x, y, z], ..], records with x, y and z, or an object with a list \
                 `positions` or with lists x, y and z; found the lists: ";
-    Error::invalid(
-        FORMAT,
-        Position::File,
-        [&[format!("{what}{names}")], notes.get(..1).unwrap_or_default()].concat().join("; "),
-    )
+    let what = [&[format!("{what}{names}")], notes.get(..1).unwrap_or_default()].concat().join("; ");
+    Error::invalid(FORMAT, Position::File, what)
 }
 
 /// The most numbers of a particle without names.
@@ -466,14 +463,8 @@ impl<'a> JsonText<'a> {
 
     /// The next bytes, for a message.
     fn shown(&self) -> String {
-        excerpt(
-            self.bytes
-                .get(self.at..)
-                .unwrap_or_default()
-                .split(u8::is_ascii_whitespace)
-                .next()
-                .unwrap_or_default(),
-        )
+        let rest = self.bytes.get(self.at..).unwrap_or_default();
+        excerpt(rest.split(u8::is_ascii_whitespace).next().unwrap_or_default())
     }
 
     /// A name and the colon after it.
@@ -556,9 +547,8 @@ impl<'a> JsonText<'a> {
                 _ => {
                     let at = self.at;
                     if self.word()?.is_empty() {
-                        return Err(
-                            self.invalid_at(at, format!("expected a value, found `{}`", self.shown()))
-                        );
+                        let what = format!("expected a value, found `{}`", self.shown());
+                        return Err(self.invalid_at(at, what));
                     }
                     self.at -= 1;
                 }

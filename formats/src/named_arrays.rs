@@ -12,6 +12,7 @@
 //!   "stress" (N, 6)                 an attribute without a role
 //! ```
 
+use std::collections::HashSet;
 use std::mem::discriminant;
 
 use crate::columns::{Group, group_columns, position_rank, radius_scale, roles_of, with_role};
@@ -102,9 +103,12 @@ pub(crate) fn joined_parts(parts: Vec<ParticlePart>, kind: &str, notes: &mut Vec
     all
 }
 
-/// Joins parts to one frame, like [`joined_parts`], with a note on their number.
-pub(crate) fn frame_of_parts(mut parts: Vec<ParticlePart>, kind: &str) -> ParticleFrame {
-    let mut notes = Vec::new();
+/// Joins parts to one frame, like [`joined_parts`], with a note on their number, and `notes`, each once.
+pub(crate) fn frame_of_parts(
+    mut parts: Vec<ParticlePart>,
+    kind: &str,
+    mut notes: Vec<String>,
+) -> ParticleFrame {
     if parts.len() > 1 {
         notes.push(format!("joined the particles of {} {kind}", parts.len()));
     }
@@ -113,8 +117,10 @@ pub(crate) fn frame_of_parts(mut parts: Vec<ParticlePart>, kind: &str) -> Partic
     }
     let ParticlePart { positions, arrays } = joined_parts(parts, kind, &mut notes);
     let mut frame = frame_of(Some(positions), arrays).unwrap_or_default();
-    frame.notes.splice(0..0, notes);
-    frame
+    notes.append(&mut frame.notes);
+    let mut seen = HashSet::new();
+    notes.retain(|note| seen.insert(note.clone()));
+    ParticleFrame { notes, ..frame }
 }
 
 /// Removes arrays whose length does not match the number of particles, and returns a note for each.
@@ -149,8 +155,8 @@ fn take_column_position(arrays: &mut Vec<NamedArray>) -> Option<FilePositions> {
     let positions = match interleaved(&values) {
         Some(values) => number::positions(values)?,
         None => {
-            let wide: Vec<Values> = values.into_iter().map(widened).collect::<Option<_>>()?;
-            number::positions(interleaved(&wide.iter().collect::<Vec<_>>())?)?
+            let columns = values.map(|values| Values::F64(number::wide(values)));
+            number::positions(interleaved(&columns.each_ref())?)?
         }
     };
     let mut index = 0;
@@ -163,18 +169,6 @@ fn take_column_position(arrays: &mut Vec<NamedArray>) -> Option<FilePositions> {
 
 fn is_column(array: &NamedArray) -> bool {
     array.arity == 1 && !matches!(array.values, Values::Strings { .. })
-}
-
-/// The values as 64-bit floats; `None` for strings.
-pub(crate) fn widened(values: &Values) -> Option<Values> {
-    Some(Values::F64(match values {
-        Values::F32(values) => values.iter().map(|&value| value.into()).collect(),
-        Values::F64(values) => values.clone(),
-        Values::U8(values) => values.iter().map(|&value| value.into()).collect(),
-        Values::I32(values) => values.iter().map(|&value| value.into()).collect(),
-        Values::I64(values) => values.iter().map(|&value| value as f64).collect(),
-        Values::Strings { .. } => return None,
-    }))
 }
 
 /// Joins scalar arrays that have the names of the components of a vector.

@@ -3,6 +3,7 @@
 //! 16-bit floats become 32-bit ones. Unsigned 64-bit integers become 64-bit floats if one of them exceeds the
 //! signed range.
 
+use std::collections::HashMap;
 use std::io::Write;
 
 use crate::bytes::Endian;
@@ -68,6 +69,37 @@ impl NumberType {
             NumberType::I32 | NumberType::U32 | NumberType::F32 => 4,
             NumberType::I64 | NumberType::U64 | NumberType::F64 => 8,
         }
+    }
+
+    /// The numbers of a kind (`i`: signed integers, `u`: unsigned ones, `f`: floats) that have this many bytes.
+    pub(crate) fn of_kind(kind: char, bytes: usize) -> Option<NumberType> {
+        Some(match (kind, bytes) {
+            ('i', 1) => NumberType::I8,
+            ('u', 1) => NumberType::U8,
+            ('i', 2) => NumberType::I16,
+            ('u', 2) => NumberType::U16,
+            ('i', 4) => NumberType::I32,
+            ('u', 4) => NumberType::U32,
+            ('i', 8) => NumberType::I64,
+            ('u', 8) => NumberType::U64,
+            ('f', 2) => NumberType::F16,
+            ('f', 4) => NumberType::F32,
+            ('f', 8) => NumberType::F64,
+            _ => return None,
+        })
+    }
+
+    /// The type with a name such as `uint8` or `Float32`.
+    pub(crate) fn named(name: &str) -> Option<NumberType> {
+        let (stem, bits) = name.split_at(name.find(|c: char| c.is_ascii_digit())?);
+        let kind = match &*stem.to_ascii_lowercase() {
+            "int" => 'i',
+            "uint" => 'u',
+            "float" => 'f',
+            _ => return None,
+        };
+        let bits: usize = bits.parse().ok().filter(|bits| bits % 8 == 0)?;
+        NumberType::of_kind(kind, bits / 8)
     }
 
     /// Zeros of the type to which these numbers decode.
@@ -155,6 +187,31 @@ impl Values {
     pub(crate) fn len(&self) -> usize {
         of_any_type!(self, values => values.len())
     }
+}
+
+/// The values as 64-bit floats; none for strings.
+pub(crate) fn wide(values: &Values) -> Vec<f64> {
+    match values {
+        Values::F32(values) => values.iter().map(|&value| value.into()).collect(),
+        Values::F64(values) => values.clone(),
+        Values::U8(values) => values.iter().map(|&value| value.into()).collect(),
+        Values::I32(values) => values.iter().map(|&value| value.into()).collect(),
+        Values::I64(values) => values.iter().map(|&value| value as f64).collect(),
+        Values::Strings { .. } => Vec::new(),
+    }
+}
+
+/// Strings, each of which is in the table once.
+pub(crate) fn distinct_strings(words: Vec<String>) -> Values {
+    let (mut table, mut indices, mut known) = (Vec::new(), Vec::with_capacity(words.len()), HashMap::new());
+    for word in words {
+        let next = i32::try_from(table.len()).unwrap_or(-1);
+        indices.push(*known.entry(word).or_insert_with_key(|word: &String| {
+            table.push(word.clone());
+            next
+        }));
+    }
+    Values::Strings { table, indices }
 }
 
 /// Converts values to positions of three values each. The positions have 64 bits if 32-bit floats cannot hold

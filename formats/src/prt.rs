@@ -107,10 +107,8 @@ fn header(bytes: &[u8], limits: &Limits) -> Result<PrtHeader> {
     let version = cursor.i32("the version")?;
     let count = cursor.i64("the number of particles")?;
     if version > 2 {
-        return Err(Error::unsupported(
-            FORMAT,
-            format!("version {version} is not supported: save it as PRT 1.1"),
-        ));
+        let what = format!("version {version} is not supported: save it as PRT 1.1");
+        return Err(Error::unsupported(FORMAT, what));
     }
     if header_bytes < HEADER_BYTES {
         return Err(
@@ -118,11 +116,8 @@ fn header(bytes: &[u8], limits: &Limits) -> Result<PrtHeader> {
         );
     }
     if header_bytes as u64 > limits.header_bytes {
-        let most = limits.header_bytes;
-        return Err(Error::too_large(
-            FORMAT,
-            format!("the header has {header_bytes} bytes, the limit is {most}"),
-        ));
+        let what = format!("the header has {header_bytes} bytes, the limit is {}", limits.header_bytes);
+        return Err(Error::too_large(FORMAT, what));
     }
     let metadata = cursor.take(header_bytes - HEADER_BYTES, "metadata")?;
     let mut notes = if version == 2 { notes_on(metadata)? } else { Vec::new() };

@@ -217,7 +217,7 @@ pub(crate) fn written(attribute: &FileAttribute) -> Cow<'_, Values> {
         return Cow::Borrowed(&attribute.values);
     }
     let mut doubled = attribute.clone();
-    doubled.scale(1.0 / radius_scale(&attribute.name));
+    doubled.values.scale(1.0 / radius_scale(&attribute.name));
     Cow::Owned(doubled.values)
 }
 

@@ -15,12 +15,10 @@
 //!
 //! Specification: the XDMF model and format, version 3.
 
-use std::borrow::Cow;
 use std::collections::HashSet;
 use std::ops::Range;
 
-use quick_xml::Reader;
-use quick_xml::events::{BytesStart, Event};
+use quick_xml::events::BytesStart;
 
 use crate::batches;
 use crate::bytes::Endian;
@@ -32,8 +30,9 @@ use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, ParticlePart};
 use crate::number::{NumberType, interleaved, positions};
 use crate::row::{FormatRow, ParticleReader};
-use crate::text::{excerpt, parse_number};
-use crate::vtk::{attribute, joined};
+use crate::text::excerpt;
+use crate::vtk::{decimals, joined};
+use crate::xml::{XmlEvent, attribute, check_end, parse};
 
 /// The format's name in errors.
 const FORMAT: &str = "XDMF";
@@ -92,10 +91,7 @@ pub(crate) fn looks_like_xdmf(text: &[u8]) -> bool {
 
 fn text_of(container: &ContainerFile) -> Result<String> {
     let bytes = batches::read(container.file, 0..container.file.size_bytes()?)?;
-    if !bytes.trim_ascii_end().ends_with(b"</Xdmf>") {
-        let position = Position::Offset(bytes.len() as u64);
-        return Err(Error::truncated(FORMAT, position, "the file ends without </Xdmf>"));
-    }
+    check_end(FORMAT, &bytes, "</Xdmf>")?;
     String::from_utf8(bytes).map_err(|error| {
         let at = error.utf8_error().valid_up_to() as u64;
         Error::invalid(FORMAT, Position::Offset(at), "expected UTF-8 text")
@@ -113,45 +109,11 @@ fn unsupported(what: impl Into<String>) -> Error {
 /// The value of an attribute of a tag, which some versions write with a prefix: `GeometryType` and `Type`.
 fn value(tag: &BytesStart, names: &[&str], at: u64) -> Result<Option<String>> {
     for name in names {
-        if let Some(value) = attribute(tag, name, at).map_err(|error| error.with_format(FORMAT))? {
+        if let Some(value) = attribute(FORMAT, tag, name, at)? {
             return Ok(Some(value));
         }
     }
     Ok(None)
-}
-
-/// Calls `event` with each tag and text, and with the range of its bytes. Empty elements give a start and an end.
-fn parse<'a>(text: &'a str, mut event: impl FnMut(XmlEvent<'a, '_>, Range<u64>) -> Result<()>) -> Result<()> {
-    let mut reader = Reader::from_str(text);
-    // To check the names of end tags, the parser would store the names of all open elements.
-    reader.config_mut().check_end_names = false;
-    loop {
-        let start = reader.buffer_position();
-        let found =
-            reader.read_event().map_err(|error| malformed(reader.error_position(), error.to_string()))?;
-        let range = start..reader.buffer_position();
-        match found {
-            Event::Start(tag) => event(XmlEvent::Start(tag.local_name().as_ref(), &tag), range)?,
-            Event::Empty(tag) => {
-                event(XmlEvent::Start(tag.local_name().as_ref(), &tag), range.clone())?;
-                event(XmlEvent::End(tag.local_name().as_ref()), range)?;
-            }
-            Event::End(tag) => event(XmlEvent::End(tag.local_name().as_ref()), range)?,
-            Event::Text(text) => {
-                if let Cow::Borrowed(text) = text.into_inner() {
-                    event(XmlEvent::Text(text), range)?;
-                }
-            }
-            Event::Eof => return Ok(()),
-            _ => {}
-        }
-    }
-}
-
-enum XmlEvent<'a, 'b> {
-    Start(&'b str, &'b BytesStart<'a>),
-    End(&'b str),
-    Text(&'a str),
 }
 
 // Finds the frames.
@@ -162,13 +124,6 @@ struct XdmfFrame {
     /// The number of the child of a temporal collection in which they are.
     step: Option<usize>,
     grids: Vec<Range<usize>>,
-}
-
-/// A grid without grids in it.
-struct FoundGrid {
-    range: Range<usize>,
-    time: Option<f64>,
-    step: Option<usize>,
 }
 
 /// An element that has not ended.
@@ -185,23 +140,24 @@ struct OpenGrid {
 /// The frames of the file: the children of a temporal collection, or the grids of each time.
 fn frames(text: &str, limits: &Limits) -> Result<Vec<XdmfFrame>> {
     let mut frames: Vec<XdmfFrame> = Vec::new();
-    for FoundGrid { range, time, step } in found_grids(text, limits)? {
+    for found in found_grids(text, limits)? {
         match frames.last_mut() {
             // Grids of one time follow one another.
-            Some(last) if last.step == step && (step.is_some() || last.time == time) => {
-                last.grids.push(range)
+            Some(last) if last.step == found.step && (found.step.is_some() || last.time == found.time) => {
+                last.grids.extend(found.grids);
             }
-            _ => frames.push(XdmfFrame { time, step, grids: vec![range] }),
+            _ => frames.push(found),
         }
     }
     Ok(frames)
 }
 
-fn found_grids(text: &str, limits: &Limits) -> Result<Vec<FoundGrid>> {
-    let mut found: Vec<FoundGrid> = Vec::new();
+/// Each grid without grids in it, as a frame.
+fn found_grids(text: &str, limits: &Limits) -> Result<Vec<XdmfFrame>> {
+    let mut found: Vec<XdmfFrame> = Vec::new();
     let mut open: Vec<OpenGrid> = Vec::new();
     let mut step_count = 0;
-    parse(text, |event, range| {
+    parse(FORMAT, text, |event, range| {
         match event {
             XmlEvent::Start("Grid", tag) => {
                 if open.len() >= DEPTH_MAX {
@@ -236,8 +192,9 @@ fn found_grids(text: &str, limits: &Limits) -> Result<Vec<FoundGrid>> {
                 let grid = open.pop().ok_or_else(|| malformed(range.start, "expected no </Grid>"))?;
                 if grid.is_uniform {
                     limits.check_step(FORMAT, found.len())?;
-                    let at = [grid.start, range.end].map(|at| usize::try_from(at).unwrap_or(usize::MAX));
-                    found.push(FoundGrid { range: at[0]..at[1], time: None, step: grid.step });
+                    let at = |offset: u64| usize::try_from(offset).unwrap_or(usize::MAX);
+                    let range = at(grid.start)..at(range.end);
+                    found.push(XdmfFrame { time: None, step: grid.step, grids: vec![range] });
                 }
                 for inner in &mut found[grid.grids_before..] {
                     inner.time = inner.time.or(grid.time);
@@ -300,7 +257,7 @@ impl XdmfGrid<'_> {
 fn grid(text: &str, offset: u64) -> Result<XdmfGrid<'_>> {
     let mut grid = XdmfGrid::default();
     let (mut is_in_geometry, mut is_in_attribute, mut depth) = (false, false, 0u32);
-    parse(text, |event, range| {
+    parse(FORMAT, text, |event, range| {
         let at = offset + range.start;
         let items = if is_in_geometry {
             Some(&mut grid.points)
@@ -370,23 +327,19 @@ fn data_item<'a>(tag: &BytesStart, at: u64) -> Result<DataItem<'a>> {
     let count = dimensions
         .split_ascii_whitespace()
         .try_fold(1u64, |count, word| count.checked_mul(word.parse().ok()?));
-    let number = match (&*text(&["NumberType", "DataType"], "float")?, &*text(&["Precision"], "")?) {
-        ("float", "" | "4") => Some(NumberType::F32),
-        ("float", "8") => Some(NumberType::F64),
-        ("int", "" | "4") => Some(NumberType::I32),
-        ("int", "8") => Some(NumberType::I64),
-        ("int", "2") => Some(NumberType::I16),
-        ("uint", "" | "4") => Some(NumberType::U32),
-        ("uint", "8") => Some(NumberType::U64),
-        ("uint", "2") => Some(NumberType::U16),
-        ("char", "" | "1") | ("int", "1") => Some(NumberType::I8),
-        ("uchar", "" | "1") | ("uint", "1") => Some(NumberType::U8),
-        _ => None,
+    let (kind, bytes) = match &*text(&["NumberType", "DataType"], "float")? {
+        "char" => ('i', "1"),
+        "uchar" => ('u', "1"),
+        "int" => ('i', "4"),
+        "uint" => ('u', "4"),
+        "float" => ('f', "4"),
+        _ => (' ', ""),
     };
+    let bytes = text(&["Precision"], bytes)?;
     Ok(DataItem {
         at,
         count: count.filter(|_| !dimensions.is_empty()),
-        number,
+        number: bytes.parse().ok().and_then(|bytes| NumberType::of_kind(kind, bytes)),
         endian: if text(&["Endian"], "native")? == "big" { Endian::Big } else { Endian::Little },
         format: text(&["Format"], "xml")?,
         seek: text(&["Seek"], "0")?.parse().map_err(|_| malformed(at, "Seek: expected a number"))?,
@@ -483,21 +436,18 @@ impl ItemReader<'_, '_> {
                 let file = self.open(path)?;
                 self.spend(count, path)?;
                 let values = hdf5::read_values(&*file, name, count, self.limits);
-                values.map_err(|error| within(error, path))
+                values.map_err(|error| error.with_format(FORMAT).in_file(path))
             }
             "binary" => {
                 let file = self.open(item.text)?;
                 self.spend(count, item.text)?;
                 let size =
                     count.checked_mul(number.size() as u64).and_then(|size| size.checked_add(item.seek));
-                let end = size.filter(|&end| file.size_bytes().is_ok_and(|bytes| end <= bytes)).ok_or_else(
-                    || {
-                        malformed(
-                            item.at,
-                            format!("the file {} has fewer than {count} numbers", excerpt(item.text)),
-                        )
-                    },
-                )?;
+                let available = file.size_bytes()?;
+                let end = size.filter(|&end| end <= available).ok_or_else(|| {
+                    let path = excerpt(item.text);
+                    malformed(item.at, format!("the file {path} has fewer than {count} numbers"))
+                })?;
                 Ok(number.decode(&batches::read(&*file, item.seek..end)?, item.endian))
             }
             other => Err(malformed(item.at, format!("the item has the unknown format {}", excerpt(other)))),
@@ -505,9 +455,7 @@ impl ItemReader<'_, '_> {
     }
 
     fn open(&mut self, path: &str) -> Result<Box<dyn batches::ReadAt>> {
-        let file = (self.container.open)(path).map_err(|error| {
-            std::io::Error::new(error.kind(), format!("{}: {error}", crate::text::escaped(path)))
-        })?;
+        let file = (self.container.open)(path).map_err(|error| Error::Io(error).in_file(path))?;
         if self.opened.insert(path.to_owned()) {
             self.bytes = self.bytes.saturating_add(file.size_bytes()?);
         }
@@ -529,37 +477,10 @@ impl ItemReader<'_, '_> {
 /// The numbers in the text of an item.
 fn parsed(item: &DataItem, number: NumberType, count: u64) -> Result<Values> {
     let wrong = |what: &str| malformed(item.at, format!("expected {count} numbers, found {what}"));
-    let mut numbers: Vec<f64> = Vec::new();
-    let mut integers: Vec<i64> = Vec::new();
-    let is_float = matches!(number, NumberType::F32 | NumberType::F64);
-    for word in item.text.split_ascii_whitespace() {
-        if is_float {
-            let parsed = parse_number(word.as_bytes()).filter(|&(_, length)| length == word.len());
-            numbers.push(parsed.ok_or_else(|| wrong(&excerpt(word)))?.0);
-        } else {
-            integers.push(word.parse().map_err(|_| wrong(&excerpt(word)))?);
-        }
-    }
-    let found = numbers.len() + integers.len();
+    let words = item.text.as_bytes().split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+    let found = words.clone().count();
     if found as u64 != count {
         return Err(wrong(&found.to_string()));
     }
-    Ok(match number {
-        NumberType::F64 => Values::F64(numbers),
-        #[expect(clippy::cast_possible_truncation, reason = "the file states 32 bits")]
-        NumberType::F32 => Values::F32(numbers.into_iter().map(|number| number as f32).collect()),
-        _ => Values::I64(integers),
-    })
-}
-
-/// An error in a file that the index names.
-fn within(error: Error, path: &str) -> Error {
-    let what = format!("{}: {error}", excerpt(path));
-    match error {
-        Error::Truncated { .. } => Error::truncated(FORMAT, Position::File, what),
-        Error::Invalid { .. } => Error::invalid(FORMAT, Position::File, what),
-        Error::Unsupported { .. } => unsupported(what),
-        Error::TooLarge { .. } => Error::too_large(FORMAT, what),
-        Error::Io(_) | Error::MemoryLimit { .. } => error,
-    }
+    decimals(words, number, found).map_err(|word| wrong(&excerpt(word)))
 }

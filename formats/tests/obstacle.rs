@@ -152,6 +152,21 @@ fn strips_and_fans_become_consistently_oriented_triangles() {
 }
 
 #[test]
+fn faces_of_mirrored_nodes_stay_outward() {
+    let document = |scale: &str| {
+        let rest = format!(
+            r#""scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0,"scale":{scale}}}],
+            "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],
+            "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}}]"#
+        );
+        gltf(&[&bytes_of(&STRIP)], &rest, embedded).0
+    };
+    for (scale, triangle) in [("[2,1,1]", [0, 1, 2]), ("[-2,1,1]", [0, 2, 1]), ("[-1,-1,1]", [0, 1, 2])] {
+        assert_eq!(mesh(document(scale).as_bytes(), "a.gltf").triangles, [triangle], "{scale}");
+    }
+}
+
+#[test]
 fn sparse_elements_and_nested_nodes_are_placed() {
     let values = bytes_of(&[5.0, 5.0, 5.0, 7.0, 7.0, 7.0]);
     // Far from the origin, where 32-bit numbers have steps of 64.

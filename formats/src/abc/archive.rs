@@ -5,7 +5,6 @@
 //! counts them, so references that form a cycle, or share groups, end with an error.
 
 use std::cell::Cell;
-use std::collections::HashMap;
 use std::rc::Rc;
 
 use super::FORMAT;
@@ -19,7 +18,7 @@ use crate::data::Values;
 use crate::digest::DIGEST_BYTES;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::number::gathered;
+use crate::number::{distinct_strings, gathered};
 use crate::provenance::from_escaped;
 use crate::text::excerpt;
 
@@ -143,13 +142,6 @@ impl PropertyHeader {
         };
         stored.into()
     }
-}
-
-/// The values of a property at a time, and the array of which each is an element.
-pub(super) struct ParamValues {
-    pub(super) values: Values,
-    /// Numbers per element, and elements per particle.
-    pub(super) arity: usize,
 }
 
 /// An open archive.
@@ -389,15 +381,7 @@ impl<'a> Archive<'a> {
     fn values(&self, property: &PropertyHeader, index: u32) -> Result<Values> {
         let pod = property.pod().unwrap_or_default() as usize;
         if pod == Pod::String as usize {
-            let (mut indices, mut table, mut known) = (Vec::new(), Vec::new(), HashMap::new());
-            for text in self.strings(property, index)? {
-                let next = i32::try_from(table.len()).unwrap_or(-1);
-                indices.push(*known.entry(text.clone()).or_insert_with(|| {
-                    table.push(text);
-                    next
-                }));
-            }
-            return Ok(Values::Strings { table, indices });
+            return Ok(distinct_strings(self.strings(property, index)?));
         }
         let Some(number) = NUMBER_TYPES.get(pod) else {
             let what = format!("{} has values of the unsupported type {pod}", excerpt(&property.name));
@@ -415,8 +399,9 @@ impl<'a> Archive<'a> {
         Ok(String::from_utf8_lossy(&bytes).split_terminator('\0').map(str::to_owned).collect())
     }
 
-    /// The values of a geometry parameter at a time: an array, or values and indices into them.
-    pub(super) fn param(&self, property: &PropertyHeader, time: Option<f64>) -> Result<ParamValues> {
+    /// The number of values per particle of a geometry parameter at a time, and all values: an array, or values and
+    /// indices into them.
+    pub(super) fn param(&self, property: &PropertyHeader, time: Option<f64>) -> Result<(usize, Values)> {
         let parts = if property.pod().is_none() { self.compound(property)? } else { Vec::new() };
         let part = |name: &str| parts.iter().find(|part| part.name == name);
         let values = part(".vals").unwrap_or(property);
@@ -428,7 +413,7 @@ impl<'a> Archive<'a> {
             return Err(Error::invalid(FORMAT, Position::Offset(property.reference), what));
         }
         let Some(of_values) = part(".indices") else {
-            return Ok(ParamValues { values: self.values(values, index)?, arity });
+            return Ok((arity, self.values(values, index)?));
         };
         let indices = self.elements::<4>(of_values, (Pod::U32, 1), self.index_at(of_values, time))?;
         self.claim((indices.len() as u64).saturating_mul(8 * extent as u64))?;
@@ -438,13 +423,13 @@ impl<'a> Archive<'a> {
             let is_string = |index: &i32| usize::try_from(*index).is_ok_and(|index| index < table.len());
             let index = |index: u32| i32::try_from(index).ok().filter(is_string).unwrap_or(-1);
             let indices = indices.into_iter().map(index).collect();
-            return Ok(ParamValues { values: Values::Strings { table, indices }, arity });
+            return Ok((arity, Values::Strings { table, indices }));
         }
         let values = gathered(&self.values(values, index)?, extent, &indices).ok_or_else(|| {
             let what = format!("an index of {} is beyond its values", excerpt(&property.name));
             Error::invalid(FORMAT, Position::Offset(property.reference), what)
         })?;
-        Ok(ParamValues { values, arity })
+        Ok((arity, values))
     }
 
     // Groups and data.

@@ -12,7 +12,9 @@
 use std::io::Write;
 
 use super::document::{AbcObject, AbcProperty, Ogawa, Pod, StoredSample};
+use crate::data::bounds_of;
 use crate::error::Result;
+use crate::matrix::{IDENTITY, Matrix};
 use crate::number::{write_f32s, write_pieces};
 use crate::options::UpAxis;
 
@@ -20,12 +22,6 @@ use crate::options::UpAxis;
 /// for the same object in each.
 pub(super) const TRANSFORM: &str = "surface";
 pub(super) const MESH: &str = "surfaceShape";
-
-/// A matrix that transforms row vectors: the translation is the last row.
-pub(super) type Matrix = [[f64; 4]; 4];
-
-pub(super) const IDENTITY: Matrix =
-    [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 
 /// The transform of positions into a world with Y up. The positions are relative to `origin`; both use axes
 /// in which `up` points up.
@@ -36,34 +32,6 @@ pub(super) fn to_world(up: UpAxis, [x, y, z]: [f64; 3]) -> Matrix {
             [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [x, z, 0.0 - y, 1.0]]
         }
     }
-}
-
-/// A row vector times a matrix. The fourth component is 1 for a point and 0 for a direction.
-pub(super) fn transformed(vector: [f64; 3], matrix: &Matrix, fourth: f64) -> [f64; 3] {
-    if *matrix == IDENTITY {
-        return vector;
-    }
-    let [x, y, z] = vector;
-    std::array::from_fn(|axis| {
-        let column = [0, 1, 2, 3].map(|row| matrix[row][axis]);
-        x * column[0] + y * column[1] + z * column[2] + fourth * column[3]
-    })
-}
-
-/// The determinant of the part of a matrix without translation.
-pub(super) fn determinant(matrix: &Matrix) -> f64 {
-    let cofactors = cofactors(matrix);
-    (0..3).map(|axis| matrix[0][axis] * cofactors[0][axis]).sum()
-}
-
-/// The matrix that transforms normals: the inverse, transposed, times the determinant.
-pub(super) fn cofactors(matrix: &Matrix) -> Matrix {
-    let mut cofactors = IDENTITY;
-    for (row, column) in (0..9).map(|n| (n / 3, n % 3)) {
-        let [r, s, c, d] = [(row + 1) % 3, (row + 2) % 3, (column + 1) % 3, (column + 2) % 3];
-        cofactors[row][column] = matrix[r][c] * matrix[s][d] - matrix[r][d] * matrix[s][c];
-    }
-    cofactors
 }
 
 /// The names of properties.
@@ -249,14 +217,7 @@ fn transform_properties(matrix: &Matrix, ogawa: &mut Ogawa) -> Result<Vec<AbcPro
 
 /// The minimum and maximum corner of the bounding box; zeros without vertices.
 pub(super) fn bounds(positions: &[[f32; 3]]) -> [[f64; 3]; 2] {
-    let first = positions.first().copied().unwrap_or_default();
-    let [low, high] = positions.iter().fold([first, first], |[low, high], position| {
-        let axes = |pick: fn(f32, f32) -> f32, corner: [f32; 3]| {
-            std::array::from_fn(|axis| pick(corner[axis], position[axis]))
-        };
-        [axes(f32::min, low), axes(f32::max, high)]
-    });
-    [low, high].map(|corner| corner.map(f64::from))
+    bounds_of(positions).unwrap_or_default().map(|corner| corner.map(f64::from))
 }
 
 /// Writes the sample of a bounding box.

@@ -35,6 +35,7 @@ use crate::gltf::{
     shared_attributes,
 };
 use crate::limits::Limits;
+use crate::matrix::Matrix;
 use crate::number::write_pieces;
 use crate::options::{MeshOptions, UpAxis, WriteOption};
 use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleReader};
@@ -44,7 +45,7 @@ use crate::vertex_attributes::{
 };
 use document::{AbcObject, AbcProperty, MAGIC, Ogawa, Pod, StoredSample, Times, write_archive};
 use mesh::{
-    FrameSamples, Matrix, MeshSamples, ParamType, bounds, bounds_sample, names, real_sample, to_world,
+    FrameSamples, MeshSamples, ParamType, bounds, bounds_sample, names, real_sample, to_world,
     triangle_samples,
 };
 use read::{SampledMesh, bytes_declared, check_single_frame, own_head, own_mesh, read_provenance};
@@ -476,7 +477,7 @@ pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribut
     let scene = Scene::open(&bytes, limits)?;
     let mesh = own_mesh(&scene)?;
     check_single_frame(&scene, limits)?;
-    let vertices = scene::positions(&scene, mesh, 0)?.len();
+    let vertices = scene::vectors(&scene, mesh.required(names::POSITIONS)?, 0)?.len();
     let attributes = frame_attributes(&scene, mesh, vertices)?;
     match attributes.iter().find(|attribute| attribute.values.len() != vertices * attribute.arity) {
         None => Ok(attributes),
@@ -519,7 +520,7 @@ fn frame_attributes(scene: &Scene, mesh: &Geometry, vertex_count: usize) -> Resu
     }
     let params = mesh.property(names::PARAMS).map(|params| scene.archive.compound(params)).transpose()?;
     for property in params.unwrap_or_default() {
-        let values = match scene.archive.param(&property, None)?.values {
+        let values = match scene.archive.param(&property, None)?.1 {
             Values::I32(values) => Values::I64(values.into_iter().map(i64::from).collect()),
             // The last string of the file marks missing values.
             Values::Strings { mut table, mut indices } => {

@@ -8,23 +8,24 @@
 //! A sample is a time at which an object, its transform or its visibility changes. Its number is the frame if
 //! the times are those of whole frames, at the rate of the shortest step between two of them; else its index.
 
-use std::collections::HashSet;
-
 use super::FORMAT;
 use super::archive::{PropertyHeader, entry};
-use super::mesh::{IDENTITY, Matrix, cofactors, determinant, names, transformed};
+use super::mesh::names;
 use super::read::MESHES;
-use super::scene::{Geometry, GeometryKind, Scene, positions};
+use super::scene::{Geometry, GeometryKind, Scene, vectors};
 use crate::batches::ReadAt;
-use crate::container::{ContainerFile, ContainerReader, Sample};
+use crate::container::{ContainerFile, ContainerReader, Sample, frame_at};
 use crate::data::{FilePositions, ParticleFrame, Values};
-use crate::error::{Error, Position, Result};
+use crate::error::Result;
 use crate::limits::Limits;
+use crate::matrix::{IDENTITY, Matrix, change_vectors, determinant, normal_transform, transformed};
 use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
 use crate::text::excerpt;
 
-pub(super) const READER: ContainerReader =
-    ContainerReader { meshes: Some(MESHES), ..ContainerReader::new(samples, read) };
+pub(super) const READER: ContainerReader = ContainerReader {
+    meshes: Some(MESHES),
+    ..ContainerReader::new(samples, |file, index, limits| read_sample(file.file, index, limits))
+};
 
 /// The largest difference between a time, in frames, and a whole frame.
 const FRAME_TOLERANCE: f64 = 1e-3;
@@ -32,21 +33,18 @@ const FRAME_TOLERANCE: f64 = 1e-3;
 fn samples(file: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>> {
     let scene = Scene::open(file.file, limits)?;
     let times = times(&scene, limits)?;
-    let numbers = frame_numbers(&times);
-    let number = |index: usize| match &numbers {
-        Some(numbers) => numbers[index],
-        None => i64::try_from(index).unwrap_or(i64::MAX),
-    };
-    let sample = |index: usize| Sample { number: number(index), time: times.get(index).copied() };
-    Ok((0..times.len().max(1)).map(sample).collect())
+    let numbers = frame_numbers(&times.iter().copied().flatten().collect::<Vec<_>>());
+    let numbers = numbers.unwrap_or_else(|| (0..).take(times.len()).collect());
+    Ok(numbers.into_iter().zip(times).map(|(number, time)| Sample { number, time }).collect())
 }
 
-/// The times of the samples; empty if there is one sample, without a time.
-fn times(scene: &Scene, limits: &Limits) -> Result<Vec<f64>> {
+/// The times of the samples; a single `None` if there is one sample, without a time.
+fn times(scene: &Scene, limits: &Limits) -> Result<Vec<Option<f64>>> {
     if scene.of_kind(GeometryKind::Points).next().is_none() {
         return Err(scene.without(GeometryKind::Points));
     }
-    scene.times(GeometryKind::Points, limits)
+    let times = scene.times(GeometryKind::Points, limits)?;
+    Ok(if times.is_empty() { vec![None] } else { times.into_iter().map(Some).collect() })
 }
 
 /// The frames of these times; `None` unless all are whole frames at a rate of at least one frame per second: the
@@ -66,10 +64,6 @@ pub(super) fn frame_numbers(times: &[f64]) -> Option<Vec<i64>> {
     })
 }
 
-fn read(file: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
-    read_sample(file.file, index, limits)
-}
-
 /// Reads the particles of one sample of an archive in memory, by its index.
 ///
 /// # Errors
@@ -84,11 +78,7 @@ pub fn read_points(bytes: &[u8], index: usize, limits: &Limits) -> Result<Partic
 fn read_sample(file: &dyn ReadAt, index: usize, limits: &Limits) -> Result<ParticleFrame> {
     let scene = Scene::open(file, limits)?;
     let times = times(&scene, limits)?;
-    if index >= times.len().max(1) {
-        let what = format!("the archive has {} samples; expected {}", times.len(), index + 1);
-        return Err(Error::invalid(FORMAT, Position::File, what));
-    }
-    let time = times.get(index).copied();
+    let time = *frame_at(FORMAT, &times, index)?;
     let (mut parts, mut notes, mut hidden, mut count) = (Vec::new(), Vec::new(), 0, 0);
     let mut reader = PointsReader { scene: &scene, time, limits, notes: &mut notes };
     for points in scene.of_kind(GeometryKind::Points) {
@@ -108,11 +98,7 @@ fn read_sample(file: &dyn ReadAt, index: usize, limits: &Limits) -> Result<Parti
     if hidden > 0 {
         notes.push(format!("skipped {hidden} hidden Points"));
     }
-    let mut seen = HashSet::new();
-    notes.retain(|note| seen.insert(note.clone()));
-    let mut frame = frame_of_parts(parts, "Points");
-    frame.notes.splice(0..0, notes);
-    Ok(frame)
+    Ok(frame_of_parts(parts, "Points", notes))
 }
 
 /// Reads the Points of an archive at a time.
@@ -127,8 +113,8 @@ impl PointsReader<'_> {
     fn part(&mut self, points: &Geometry) -> Result<ParticlePart> {
         let archive = &self.scene.archive;
         let matrix = self.scene.world(points, self.time)?;
-        let index = archive.index_at(points.required(names::POSITIONS)?, self.time);
-        let local = positions(self.scene, points, index)?;
+        let positions = points.required(names::POSITIONS)?;
+        let local = vectors(self.scene, positions, archive.index_at(positions, self.time))?;
         let count = local.len();
         let mut arrays = Vec::new();
         for (property, name) in
@@ -151,9 +137,8 @@ impl PointsReader<'_> {
         let positions = if matrix == IDENTITY {
             FilePositions::F32(local)
         } else {
-            FilePositions::F64(
-                local.iter().map(|point| transformed(point.map(f64::from), &matrix, 1.0)).collect(),
-            )
+            let to_world = |point: [f32; 3]| transformed(&matrix, point.map(f64::from), 1.0);
+            FilePositions::F64(local.into_iter().map(to_world).collect())
         };
         Ok(ParticlePart { positions, arrays })
     }
@@ -168,14 +153,12 @@ impl PointsReader<'_> {
         matrix: &Matrix,
     ) -> Result<Option<NamedArray>> {
         let is_constant = entry(&property.metadata, "geoScope") == "con";
-        let is_width = property.name == names::WIDTHS;
-        let param = self.scene.archive.param(property, self.time)?;
-        let (mut values, arity) = (param.values, param.arity);
+        let (arity, mut values) = self.scene.archive.param(property, self.time)?;
         if values.len() == 0 && count > 0 {
             return Ok(None); // the library writes empty arrays for those that it was not given
         }
         if let Values::F32(widths) = &mut values
-            && is_width
+            && property.name == names::WIDTHS
             && (is_constant || count > 1)
             && let [width] = widths[..]
         {
@@ -184,37 +167,23 @@ impl PointsReader<'_> {
             self.notes.push(format!("skipped `{}`: it has one value for all particles", excerpt(name)));
             return Ok(None);
         }
-        if let Values::F32(values) = &mut values
-            && *matrix != IDENTITY
-        {
-            let interpretation = entry(&property.metadata, "interpretation");
-            let is_vector = arity == 3;
-            match interpretation {
-                _ if is_width => {
+        if *matrix != IDENTITY && matches!(values, Values::F32(_)) {
+            match (&*property.name, entry(&property.metadata, "interpretation"), arity) {
+                (names::WIDTHS, ..) => {
                     let scale = determinant(matrix).abs().cbrt();
-                    values.iter_mut().for_each(|width| *width = narrowed(f64::from(*width) * scale));
+                    values.scale(scale);
                     if (scale - 1.0).abs() > 1e-6 {
                         self.notes.push("scaled the widths by the transforms of the points".to_owned());
                     }
                 }
-                _ if property.name == names::VELOCITIES => transform(values, matrix, 0.0),
-                "vector" if is_vector => transform(values, matrix, 0.0),
-                "normal" if is_vector => transform(values, &cofactors(matrix), 0.0),
-                "point" if is_vector => transform(values, matrix, 1.0),
+                (names::VELOCITIES, ..) | (_, "vector", 3) => {
+                    change_vectors(&mut values, |vector| transformed(matrix, vector, 0.0));
+                }
+                (_, "normal", 3) => change_vectors(&mut values, normal_transform(matrix)),
+                (_, "point", 3) => change_vectors(&mut values, |point| transformed(matrix, point, 1.0)),
                 _ => {}
             }
         }
         Ok(Some(NamedArray { name: name.to_owned(), arity, values }))
     }
-}
-
-fn transform(values: &mut [f32], matrix: &Matrix, fourth: f64) {
-    for vector in values.as_chunks_mut::<3>().0 {
-        *vector = transformed(vector.map(f64::from), matrix, fourth).map(narrowed);
-    }
-}
-
-#[expect(clippy::cast_possible_truncation, reason = "attributes have 32 bits")]
-fn narrowed(number: f64) -> f32 {
-    number as f32
 }

@@ -1,20 +1,21 @@
 //! Reads meshes: those of any archive in world space, and the archives of this crate with their provenance.
 
-use std::io::{self, Read, Seek, SeekFrom};
-use std::sync::{Mutex, PoisonError};
+use std::io::{Read, Seek};
+use std::sync::Mutex;
 
 use super::FORMAT;
 use super::archive::{Archive, check_start, own_metadata};
 use super::document::{HEADER_BYTES, Pod, ROOT_CHILDREN};
-use super::mesh::{IDENTITY, Matrix, cofactors, determinant, names, transformed};
+use super::mesh::names;
 use super::points::frame_numbers;
-use super::scene::{Geometry, GeometryKind, Scene, position_and_count_samples, positions, vectors};
-use crate::batches::ReadAt;
-use crate::container::SceneMeshReader;
+use super::scene::{Geometry, GeometryKind, Scene, vectors};
+use crate::batches::SeekFile;
+use crate::container::{SceneMeshReader, frame_at};
 use crate::data::MeshData;
 use crate::error::{Error, Position, Result};
 use crate::gltf::{SEQUENCE_FRAMES, SequenceInfo};
 use crate::limits::Limits;
+use crate::matrix::{determinant, normal_transform, transformed};
 use crate::sequence::MOMENTS;
 
 /// The name of the attribute in the property for velocities.
@@ -107,12 +108,8 @@ pub fn read_times(bytes: &[u8]) -> Result<Vec<f64>> {
 ///
 /// Those of [`read_mesh`]; [`Error::Invalid`] if there are fewer samples.
 pub fn read_sample(bytes: &[u8], index: usize, limits: &Limits) -> Result<MeshData> {
-    let times = read_times(bytes)?;
-    let Some(time) = times.get(index) else {
-        let what = format!("the archive has {} samples; expected {}", times.len(), index + 1);
-        return Err(Error::invalid(FORMAT, Position::File, what));
-    };
-    mesh(&Scene::open(&bytes, limits)?, Some(*time), limits)
+    let time = *frame_at(FORMAT, &read_times(bytes)?, index)?;
+    mesh(&Scene::open(&bytes, limits)?, Some(time), limits)
 }
 
 /// The content of a sequence of this crate, and the names of its vertex attributes, except normals; `None`
@@ -124,7 +121,7 @@ pub fn read_sample(bytes: &[u8], index: usize, limits: &Limits) -> Result<MeshDa
 pub fn read_sequence_info(
     file: &mut (impl Read + Seek + Send),
 ) -> Result<Option<(SequenceInfo, Vec<String>)>> {
-    let (limits, file) = (Limits::default(), Seekable(Mutex::new(file)));
+    let (limits, file) = (Limits::default(), SeekFile(Mutex::new(file)));
     let archive = Archive::open(&file, &limits)?;
     let Some(frames) = frames_of(&own_metadata(&archive.metadata).unwrap_or_default())? else {
         return Ok(None);
@@ -134,7 +131,8 @@ pub fn read_sequence_info(
     let mut info = SequenceInfo { frames, ..SequenceInfo::default() };
     let mut last = None;
     for index in 0..mesh.required(names::POSITIONS)?.sample_count {
-        let samples = position_and_count_samples(&scene, mesh, index)?;
+        let sample = |name: &str| scene.archive.sample(mesh.required(name)?, index);
+        let samples = [sample(names::POSITIONS)?, sample(names::COUNTS)?];
         // A frame may have two samples, which refer to the same data.
         if last.replace(samples) != Some(samples) {
             let [positions, counts] = samples;
@@ -148,21 +146,6 @@ pub fn read_sequence_info(
         attributes.extend(scene.archive.compound(params)?.into_iter().map(|param| param.name));
     }
     Ok(Some((info, attributes)))
-}
-
-/// Reads a file that has only one position.
-struct Seekable<'a, F>(Mutex<&'a mut F>);
-
-impl<F: Read + Seek + Send> ReadAt for Seekable<'_, F> {
-    fn size_bytes(&self) -> io::Result<u64> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).seek(SeekFrom::End(0))
-    }
-
-    fn read_exact_at(&self, out: &mut [u8], offset: u64) -> io::Result<()> {
-        let mut file = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        file.seek(SeekFrom::Start(offset))?;
-        file.read_exact(out)
-    }
 }
 
 /// The number of frames in the provenance of a sequence; `None` for one frame.
@@ -223,30 +206,21 @@ fn mesh(scene: &Scene, time: Option<f64>, limits: &Limits) -> Result<MeshData> {
         let matrix = scene.world(geometry, time)?;
         let has_normals = joined.normals.len() == first && part.normals.len() == part.positions.len();
         if has_normals {
-            joined.normals.extend(part.normals.iter().map(|normal| normal_to_world(*normal, &matrix)));
+            let turn = normal_transform(&matrix);
+            #[expect(clippy::cast_possible_truncation, reason = "normals have 32 bits")]
+            let to_world = |normal: &[f32; 3]| turn(normal.map(f64::from)).map(|along| along as f32);
+            joined.normals.extend(part.normals.iter().map(to_world));
         } else {
             joined.normals = Vec::new();
         }
         let is_mirrored = determinant(&matrix) < 0.0;
-        joined.positions.extend(part.positions.iter().map(|p| transformed(p.map(f64::from), &matrix, 1.0)));
+        joined.positions.extend(part.positions.iter().map(|p| transformed(&matrix, p.map(f64::from), 1.0)));
         joined.triangles.extend(part.triangles.into_iter().map(|triangle| {
             let [a, b, c] = triangle.map(|corner| first_index + corner);
             if is_mirrored { [a, c, b] } else { [a, b, c] }
         }));
     }
     Ok(joined)
-}
-
-/// Rotates a normal. The result has length 1 if a rotation changes the length, such as one with a scale.
-fn normal_to_world(normal: [f32; 3], matrix: &Matrix) -> [f32; 3] {
-    if *matrix == IDENTITY {
-        return normal;
-    }
-    let turned = transformed(normal.map(f64::from), &cofactors(matrix), 0.0);
-    let squared: f64 = turned.iter().map(|along| along * along).sum();
-    let length = if (squared - 1.0).abs() < 1e-6 || squared == 0.0 { 1.0 } else { squared.sqrt() };
-    #[expect(clippy::cast_possible_truncation, reason = "a rotation by a right angle is exact")]
-    turned.map(|along| (along / length) as f32)
 }
 
 /// A mesh at a time, before its transform.
@@ -260,7 +234,8 @@ pub(super) struct SampledMesh {
 impl SampledMesh {
     pub(super) fn read(scene: &Scene, mesh: &Geometry, time: Option<f64>) -> Result<SampledMesh> {
         let archive = &scene.archive;
-        let positions = positions(scene, mesh, archive.index_at(mesh.required(names::POSITIONS)?, time))?;
+        let positions = mesh.required(names::POSITIONS)?;
+        let positions = vectors(scene, positions, archive.index_at(positions, time))?;
         // Normals with indices, and those of corners, are a compound or have another length.
         let normals = match mesh.property(names::NORMALS).filter(|property| property.pod().is_some()) {
             Some(normals) => vectors(scene, normals, archive.index_at(normals, time))?,

@@ -10,13 +10,14 @@ use std::collections::BTreeMap;
 
 use super::FORMAT;
 use super::archive::{Archive, ObjectHeader, PropertyHeader, TIME_TOLERANCE, entry};
-use super::document::{Pod, Reference};
-use super::mesh::{IDENTITY, Matrix, names};
+use super::document::Pod;
+use super::mesh::names;
 use crate::batches::ReadAt;
 use crate::data::Values;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::widened;
+use crate::matrix::{IDENTITY, Matrix, product, rotation};
+use crate::number::wide;
 use crate::text::{excerpt, listed};
 
 /// The limit of objects inside one another: more than any scene has.
@@ -179,11 +180,9 @@ impl<'a> Scene<'a> {
     /// Whether an object is visible at a time.
     pub(super) fn is_visible(&self, geometry: &Geometry, time: Option<f64>) -> Result<bool> {
         for property in self.chain(geometry).filter_map(|node| node.visible.as_ref()) {
-            match widened(&self.archive.param(property, time)?.values) {
-                Some(Values::F64(values)) if values.first() == Some(&0.0) => return Ok(false),
-                Some(Values::F64(values)) if values.first().is_some_and(|value| *value > 0.0) => {
-                    return Ok(true);
-                }
+            match wide(&self.archive.param(property, time)?.1).first() {
+                Some(0.0) => return Ok(false),
+                Some(value) if *value > 0.0 => return Ok(true),
                 _ => {} // −1: as the parent
             }
         }
@@ -208,7 +207,7 @@ impl<'a> Scene<'a> {
         for node in self.chain(geometry) {
             world = product(&world, &self.local(node, time)?);
             if let Some(inherits) = node.transform.iter().find(|property| property.name == names::INHERITS)
-                && matches!(self.archive.param(inherits, time)?.values, Values::U8(values) if values == [0])
+                && matches!(self.archive.param(inherits, time)?.1, Values::U8(values) if values == [0])
             {
                 break;
             }
@@ -221,15 +220,14 @@ impl<'a> Scene<'a> {
         let property = |name: &str| node.transform.iter().find(|property| property.name == name);
         let Some(numbers) = property(names::MATRIX) else { return Ok(IDENTITY) };
         let invalid = |what: String| Error::invalid(FORMAT, Position::File, what);
-        let Values::F64(numbers) = self.archive.param(numbers, time)?.values else {
+        let Values::F64(numbers) = self.archive.param(numbers, time)?.1 else {
             return Err(invalid("a transform has values that are not 64-bit floats".to_owned()));
         };
-        let operations = match property(names::OPERATIONS) {
-            Some(operations) => self.archive.param(operations, time)?.values,
-            None => Values::U8(Vec::new()),
-        };
-        let Values::U8(operations) = operations else {
-            return Err(invalid("a transform has operations that are not bytes".to_owned()));
+        let operations = property(names::OPERATIONS).map(|property| self.archive.param(property, time));
+        let operations = match operations.transpose()? {
+            None => Vec::new(),
+            Some((_, Values::U8(operations))) => operations,
+            Some(_) => return Err(invalid("a transform has operations that are not bytes".to_owned())),
         };
         let (mut matrix, mut rest) = (IDENTITY, &*numbers);
         for operation in operations {
@@ -276,7 +274,13 @@ pub(super) fn operation_matrix(operation: u8, values: &[f64]) -> Matrix {
     match (operation, values) {
         (0, &[x, y, z]) => (matrix[0][0], matrix[1][1], matrix[2][2]) = (x, y, z),
         (1, &[x, y, z]) => matrix[3] = [x, y, z, 1.0],
-        (2, &[x, y, z, degrees]) => return rotation([x, y, z], degrees),
+        (2, &[x, y, z, degrees]) => {
+            let length = (x * x + y * y + z * z).sqrt();
+            return rotation(
+                [x, y, z].map(|along| if length == 0.0 { 0.0 } else { along / length }),
+                degrees,
+            );
+        }
         (4, &[degrees]) => return rotation([1.0, 0.0, 0.0], degrees),
         (5, &[degrees]) => return rotation([0.0, 1.0, 0.0], degrees),
         (6, &[degrees]) => return rotation([0.0, 0.0, 1.0], degrees),
@@ -285,50 +289,12 @@ pub(super) fn operation_matrix(operation: u8, values: &[f64]) -> Matrix {
     matrix
 }
 
-/// The rotation of row vectors about an axis, counterclockwise as seen from its tip.
-fn rotation(axis: [f64; 3], degrees: f64) -> Matrix {
-    let length = axis.iter().map(|along| along * along).sum::<f64>().sqrt();
-    let [x, y, z] = axis.map(|along| if length == 0.0 { along } else { along / length });
-    let (sin, cos) = degrees.to_radians().sin_cos();
-    let rest = 1.0 - cos;
-    [
-        [x * x * rest + cos, x * y * rest + z * sin, x * z * rest - y * sin, 0.0],
-        [x * y * rest - z * sin, y * y * rest + cos, y * z * rest + x * sin, 0.0],
-        [x * z * rest + y * sin, y * z * rest - x * sin, z * z * rest + cos, 0.0],
-        [0.0, 0.0, 0.0, 1.0],
-    ]
-}
-
-/// The transform `first`, then `second`.
-fn product(first: &Matrix, second: &Matrix) -> Matrix {
-    if *first == IDENTITY {
-        return *second;
-    }
-    first.map(|row| std::array::from_fn(|column| (0..4).map(|n| row[n] * second[n][column]).sum()))
-}
-
-/// Reads the positions of a sample, before their transform.
-pub(super) fn positions(scene: &Scene, geometry: &Geometry, index: u32) -> Result<Vec<[f32; 3]>> {
-    vectors(scene, geometry.required(names::POSITIONS)?, index)
-}
-
 /// Reads the vectors of a sample.
 pub(super) fn vectors(scene: &Scene, property: &PropertyHeader, index: u32) -> Result<Vec<[f32; 3]>> {
     let vectors = scene.archive.elements::<12>(property, (Pod::F32, 3), index)?;
-    Ok(vectors.iter().map(vector).collect())
-}
-
-fn vector(bytes: &[u8; 12]) -> [f32; 3] {
-    let [a, b, c, d, e, f, g, h, rest @ ..] = *bytes;
-    [[a, b, c, d], [e, f, g, h], rest].map(f32::from_le_bytes)
-}
-
-/// The data of the positions and of the corner counts of a sample.
-pub(super) fn position_and_count_samples(
-    scene: &Scene,
-    mesh: &Geometry,
-    index: u32,
-) -> Result<[Option<Reference>; 2]> {
-    let sample = |name: &str| scene.archive.sample(mesh.required(name)?, index);
-    Ok([sample(names::POSITIONS)?, sample(names::COUNTS)?])
+    let decoded = |bytes: &[u8; 12]| {
+        let [a, b, c, d, e, f, g, h, rest @ ..] = *bytes;
+        [[a, b, c, d], [e, f, g, h], rest].map(f32::from_le_bytes)
+    };
+    Ok(vectors.iter().map(decoded).collect())
 }

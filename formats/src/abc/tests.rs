@@ -2,13 +2,14 @@
 
 use super::archive::Archive;
 use super::document::{AbcObject, AbcProperty, DATA, Ogawa, Pod, StoredSample, Times, write_archive};
-use super::mesh::{IDENTITY, names, transformed};
+use super::mesh::names;
 use super::points::{READER, frame_numbers};
 use super::read::MESHES;
 use super::scene::operation_matrix;
 use super::*;
 use crate::container::{ContainerFile, OpenFurther};
 use crate::data::{FilePositions, ParticleFrame};
+use crate::matrix::{IDENTITY, transformed};
 
 /// The seed of the fuzz target, which the tests with damaged files also use.
 const SEED: &[u8] = include_bytes!("../../../tests/fuzz/corpus/abc/points.abc");
@@ -157,7 +158,7 @@ fn points_of_all_objects_are_read_in_world_space() {
     let frame = read(&bytes, 1).expect("read");
     assert_eq!(rounded(&frame), [[20.0, 0.0, 0.0], [20.0, 0.0, 6.0]]);
     assert!(described(&frame).is_empty(), "{:?}", frame.attributes);
-    assert!(read(&bytes, 3).is_err_and(|error| error.to_string().contains("has 3 samples; expected 4")));
+    assert!(read(&bytes, 3).is_err_and(|error| error.to_string().contains("no frame 3: the file has 3")));
 }
 
 #[test]
@@ -199,7 +200,7 @@ fn operations_of_transforms_are_those_of_alembic() {
         (6, &[90.0], [-2.0, 1.0, 3.0]),
     ];
     for (operation, values, expected) in table {
-        let found = transformed([1.0, 2.0, 3.0], &operation_matrix(operation, values), 1.0);
+        let found = transformed(&operation_matrix(operation, values), [1.0, 2.0, 3.0], 1.0);
         assert!((0..3).all(|axis| (found[axis] - expected[axis]).abs() < 1e-12), "{operation}: {found:?}");
     }
     assert_eq!(operation_matrix(2, &[0.0; 4]), IDENTITY);

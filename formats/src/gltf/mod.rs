@@ -337,9 +337,9 @@ pub fn read_camera(bytes: &[u8]) -> Result<CameraData> {
     let Projection::Perspective(perspective) = camera.projection() else {
         return Err(Error::unsupported(FORMAT, "the camera is orthographic: use a perspective camera"));
     };
-    let [_, up, backward] = placement.axes;
+    let [_, up, backward, eye] = placement.map(|[x, y, z, _]| [x, y, z]);
     Ok(CameraData {
-        eye: placement.translation,
+        eye,
         forward: backward.map(|along| -along),
         up,
         view_radians: f64::from(perspective.yfov()),

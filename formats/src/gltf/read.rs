@@ -22,6 +22,9 @@ use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION};
 use crate::data::MeshData;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
+use crate::matrix::{
+    IDENTITY, Matrix, determinant, normal_transform, product, quaternion_rotation, transformed,
+};
 use crate::row::ReadExternal;
 
 /// Reads all triangles of the default scene (or of the first scene, or of all meshes if there is no scene) as
@@ -155,9 +158,9 @@ struct ReadNode {
 fn placed_meshes<'a>(
     document: &'a Document,
     transforms: &NodeTransforms,
-) -> Result<Vec<(::gltf::Mesh<'a>, NodeTransform)>> {
+) -> Result<Vec<(::gltf::Mesh<'a>, Matrix)>> {
     let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else {
-        return Ok(document.meshes().map(|mesh| (mesh, NodeTransform::IDENTITY)).collect());
+        return Ok(document.meshes().map(|mesh| (mesh, IDENTITY)).collect());
     };
     placed(&scene, transforms, |node| node.mesh())
 }
@@ -167,11 +170,10 @@ pub(super) fn placed<'a, T>(
     scene: &::gltf::Scene<'a>,
     transforms: &NodeTransforms,
     pick: impl Fn(&::gltf::Node<'a>) -> Option<T>,
-) -> Result<Vec<(T, NodeTransform)>> {
+) -> Result<Vec<(T, Matrix)>> {
     let mut placed = Vec::new();
     let mut visited = vec![false; transforms.nodes.len()];
-    let mut pending: Vec<(::gltf::Node<'a>, NodeTransform)> =
-        scene.nodes().map(|node| (node, NodeTransform::IDENTITY)).collect();
+    let mut pending: Vec<(::gltf::Node<'a>, Matrix)> = scene.nodes().map(|node| (node, IDENTITY)).collect();
     pending.reverse();
     while let Some((node, parent)) = pending.pop() {
         let index = node.index();
@@ -182,7 +184,7 @@ pub(super) fn placed<'a, T>(
         if std::mem::replace(visited, true) {
             return Err(invalid(format!("node {index} has two parents")));
         }
-        let placement = parent.then_inner(&node_transform.placement());
+        let placement = product(&node_transform.placement(), &parent);
         placed.extend(pick(&node).map(|found| (found, placement)));
         let first = pending.len();
         pending.extend(node.children().map(|child| (child, placement)));
@@ -191,65 +193,19 @@ pub(super) fn placed<'a, T>(
     Ok(placed)
 }
 
-/// An affine transform: the columns of the linear part, and the translation.
-#[derive(Clone, Copy)]
-pub(super) struct NodeTransform {
-    pub(super) axes: [[f64; 3]; 3],
-    pub(super) translation: [f64; 3],
-}
-
-impl NodeTransform {
-    const IDENTITY: NodeTransform =
-        NodeTransform { axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], translation: [0.0; 3] };
-
-    fn vector(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
-        std::array::from_fn(|row| self.axes[0][row] * x + self.axes[1][row] * y + self.axes[2][row] * z)
-    }
-
-    fn point(&self, point: [f64; 3]) -> [f64; 3] {
-        let vector = self.vector(point);
-        std::array::from_fn(|row| vector[row] + self.translation[row])
-    }
-
-    /// Transforms a normal by the cofactors of the linear part, so that it stays perpendicular to its
-    /// surface.
-    fn normal(&self, normal: [f64; 3]) -> [f64; 3] {
-        let [a, b, c] = self.axes;
-        let cofactors =
-            NodeTransform { axes: [cross(b, c), cross(c, a), cross(a, b)], translation: [0.0; 3] };
-        let [x, y, z] = cofactors.vector(normal);
-        let length = (x * x + y * y + z * z).sqrt();
-        if 0.0 < length { [x / length, y / length, z / length] } else { [x, y, z] }
-    }
-
-    /// The transform that applies `inner` first, then this one.
-    fn then_inner(&self, inner: &NodeTransform) -> NodeTransform {
-        NodeTransform {
-            axes: inner.axes.map(|axis| self.vector(axis)),
-            translation: self.point(inner.translation),
-        }
-    }
-}
-
-fn cross([ax, ay, az]: [f64; 3], [bx, by, bz]: [f64; 3]) -> [f64; 3] {
-    [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
-}
-
 impl ReadNode {
-    fn placement(&self) -> NodeTransform {
+    fn placement(&self) -> Matrix {
         if let Some(m) = self.matrix {
-            let column = |c: usize| [m[4 * c], m[4 * c + 1], m[4 * c + 2]];
-            return NodeTransform { axes: [column(0), column(1), column(2)], translation: column(3) };
+            return [0, 1, 2, 3].map(|c| [m[4 * c], m[4 * c + 1], m[4 * c + 2], IDENTITY[c][3]]);
         }
         let [x, y, z, w] = self.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]);
         let scale = self.scale.unwrap_or([1.0; 3]);
-        let rotation = [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)],
-            [2.0 * (x * y - z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + x * w)],
-            [2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ];
-        let axes = std::array::from_fn(|axis| rotation[axis].map(|c| c * scale[axis]));
-        NodeTransform { axes, translation: self.translation.unwrap_or([0.0; 3]) }
+        let mut placement = quaternion_rotation([w, x, y, z]);
+        for (row, scale) in placement.iter_mut().zip(scale) {
+            *row = row.map(|along| along * scale);
+        }
+        placement[3][..3].copy_from_slice(&self.translation.unwrap_or([0.0; 3]));
+        placement
     }
 }
 
@@ -261,7 +217,7 @@ struct Collector {
 }
 
 impl Collector {
-    fn add(&mut self, primitive: &Primitive, placement: &NodeTransform) -> Result<()> {
+    fn add(&mut self, primitive: &Primitive, placement: &Matrix) -> Result<()> {
         let Some(positions) = primitive.get(&Semantic::Positions) else { return Ok(()) };
         if matches!(primitive.mode(), Mode::Points | Mode::Lines | Mode::LineLoop | Mode::LineStrip) {
             return Ok(());
@@ -288,13 +244,18 @@ impl Collector {
         let Some(first) = first.filter(|first| first.checked_add(vertex_count).is_some()) else {
             return Err(Error::too_large(FORMAT, "the meshes have more than 2³² vertices in total"));
         };
-        self.mesh.positions.extend(positions.iter().map(|&position| placement.point(position)));
+        self.mesh.positions.extend(positions.iter().map(|&position| transformed(placement, position, 1.0)));
         let triangles = triangles(&indices, primitive.mode()).into_iter();
-        self.mesh.triangles.extend(triangles.map(|triangle| triangle.map(|i| first + i)));
+        let is_mirrored = determinant(placement) < 0.0;
+        self.mesh.triangles.extend(triangles.map(|triangle| {
+            let [a, b, c] = triangle.map(|i| first + i);
+            if is_mirrored { [a, c, b] } else { [a, b, c] }
+        }));
         match normals {
             Some(normals) => {
+                let turn = normal_transform(placement);
                 #[expect(clippy::cast_possible_truncation, reason = "normals are kept in 32 bits")]
-                let narrow = |normal: &[f64; 3]| placement.normal(*normal).map(|c| c as f32);
+                let narrow = |normal: &[f64; 3]| turn(*normal).map(|c| c as f32);
                 self.mesh.normals.extend(normals.iter().map(narrow));
             }
             None => self.has_normals = false,

@@ -12,7 +12,7 @@ use serde::{Serialize, Serializer};
 
 use super::frame_file::{ACCELERATION, COLOR, VELOCITY};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
-use crate::data::{FileAttribute, MeshView, Provenance, VertexAttribute, VertexValues};
+use crate::data::{FileAttribute, MeshView, Provenance, VertexAttribute, VertexValues, bounds_of};
 use crate::error::{Error, Position, Result};
 use crate::number::{write_f32s, write_pieces};
 use crate::options::{MeshOptions, UpAxis};
@@ -404,13 +404,7 @@ fn node(name: &str, origin: [f64; 3], up: UpAxis) -> WrittenNode<'_> {
 }
 
 fn accessors(mesh: &MeshView, layout: &BufferLayout) -> Vec<Accessor> {
-    let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-    for position in mesh.positions {
-        for axis in 0..3 {
-            min[axis] = min[axis].min(position[axis]);
-            max[axis] = max[axis].max(position[axis]);
-        }
-    }
+    let [min, max] = bounds_of(mesh.positions).unwrap_or_default();
     let vertices = |(buffer_view, arity): (usize, usize)| Accessor {
         buffer_view,
         component_type: component::F32,

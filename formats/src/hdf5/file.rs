@@ -387,27 +387,11 @@ fn numbers_of(datatype: &Datatype) -> Option<(NumberType, Endian, usize)> {
     };
     match datatype {
         Datatype::FixedPoint { size, signed, byte_order } => {
-            let number = match (size, signed) {
-                (1, true) => NumberType::I8,
-                (1, false) => NumberType::U8,
-                (2, true) => NumberType::I16,
-                (2, false) => NumberType::U16,
-                (4, true) => NumberType::I32,
-                (4, false) => NumberType::U32,
-                (8, true) => NumberType::I64,
-                (8, false) => NumberType::U64,
-                _ => return None,
-            };
-            Some((number, endian(byte_order), 1))
+            let kind = if *signed { 'i' } else { 'u' };
+            Some((NumberType::of_kind(kind, (*size).into())?, endian(byte_order), 1))
         }
         Datatype::FloatingPoint { size, byte_order } => {
-            let number = match size {
-                2 => NumberType::F16,
-                4 => NumberType::F32,
-                8 => NumberType::F64,
-                _ => return None,
-            };
-            Some((number, endian(byte_order), 1))
+            Some((NumberType::of_kind('f', (*size).into())?, endian(byte_order), 1))
         }
         // Truth values are an enumeration.
         Datatype::Enum { base, .. } => match numbers_of(base)? {

@@ -25,11 +25,12 @@ use hdf5_reader::group::Group;
 
 use crate::batches::ReadAt;
 use crate::columns::position_rank;
-use crate::container::{ContainerFile, ContainerReader, Sample};
+use crate::container::{ContainerFile, ContainerReader, Sample, frame_at};
 use crate::data::{ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, frame_of, position_count, widened};
+use crate::named_arrays::{NamedArray, frame_of, position_count};
+use crate::number::wide;
 use crate::row::{FormatRow, ParticleReader};
 use crate::text::{excerpt, excerpts};
 use file::{HdfFile, HdfTable, attributes_of, number_in, with_file};
@@ -75,10 +76,7 @@ pub fn samples(container: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>
 pub fn read(container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
     with_file(container.file, limits, |file| {
         let steps = steps(file)?;
-        let step = steps.get(index).ok_or_else(|| {
-            Error::invalid(FORMAT, Position::File, format!("there is no frame {index} of {}", steps.len()))
-        })?;
-        let group = file.group(&file.root()?, &step.path)?;
+        let group = file.group(&file.root()?, &frame_at(FORMAT, &steps, index)?.path)?;
         let mut notes = Vec::new();
         match find_particles(file, &group, &mut notes)? {
             Some(found) => frame(file, found, notes),
@@ -181,7 +179,7 @@ fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Resu
     for _ in 0..=DEPTH_MAX {
         let (mut found, mut below) = (Vec::new(), Vec::new());
         for (path, group) in level {
-            let (groups, data_sets) = file.members(&group)?;
+            let (mut groups, data_sets) = file.members(&group)?;
             let mut own_notes = Vec::new();
             let tables = tables_of(file, &group, &path, (&groups, &data_sets), &mut own_notes)?;
             if let Some(particle_count) = count_of(&tables) {
@@ -189,7 +187,9 @@ fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Resu
                 continue;
             }
             notes.extend(own_notes);
-            for name in sorted(groups) {
+            // SWIFT has further names for the groups of GADGET.
+            groups.sort_by_key(|name| !name.starts_with("PartType"));
+            for name in groups {
                 let group = file.group(&group, &name)?;
                 if visited.insert(group.address()) {
                     below.push((format!("{path}/{name}"), group));
@@ -204,12 +204,6 @@ fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Resu
         level = below;
     }
     Ok(None)
-}
-
-/// The names of groups, with those of GADGET first: SWIFT has further names for the same groups.
-fn sorted(mut groups: Vec<String>) -> Vec<String> {
-    groups.sort_by_key(|name| !name.starts_with("PartType"));
-    groups
 }
 
 /// The fluid among the groups, or the first one.
@@ -313,14 +307,11 @@ fn name_velocity(tables: &mut [HdfTable]) {
 
 /// The number of particles, if the tables have a position.
 fn count_of(tables: &[HdfTable]) -> Option<usize> {
-    let described = |table: &HdfTable| {
+    let fields = tables.iter().flat_map(|table| {
         let count = usize::try_from(table.row_count).unwrap_or(usize::MAX);
-        let fields: Vec<_> =
-            table.fields.iter().map(|field| (field.name.clone(), field.arity, count)).collect();
-        fields
-    };
-    let fields: Vec<_> = tables.iter().flat_map(described).collect();
-    position_count(&fields.iter().map(|(name, arity, count)| (&**name, *arity, *count)).collect::<Vec<_>>())
+        table.fields.iter().map(move |field| (&*field.name, field.arity, count))
+    });
+    position_count(&fields.collect::<Vec<_>>())
 }
 
 /// Reads the tables that have a row for each particle.
@@ -343,7 +334,7 @@ fn frame(file: &HdfFile, group: ParticleGroup, mut notes: Vec<String>) -> Result
     file.limits.check_attributes(FORMAT, arrays.len(), "attributes")?;
     let offsets: Vec<NamedArray> =
         arrays.extract_if(.., |array| array.name.starts_with("positionOffset_")).collect();
-    if offsets.iter().any(|offset| has_nonzero(&offset.values)) {
+    if offsets.iter().any(|offset| wide(&offset.values).iter().any(|&value| value != 0.0)) {
         let what =
             "the positions have offsets (positionOffset), which are not supported: add them to the positions";
         return Err(Error::unsupported(FORMAT, what));
@@ -352,10 +343,6 @@ fn frame(file: &HdfFile, group: ParticleGroup, mut notes: Vec<String>) -> Result
     frame.notes.append(&mut notes);
     frame.notes.extend(file.notes());
     Ok(frame)
-}
-
-fn has_nonzero(values: &Values) -> bool {
-    matches!(widened(values), Some(Values::F64(values)) if values.iter().any(|&value| value != 0.0))
 }
 
 fn no_particles(file: &HdfFile, notes: Vec<String>) -> Error {

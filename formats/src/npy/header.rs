@@ -322,17 +322,9 @@ fn element(code: &str) -> Result<ElementType> {
     let size: usize = if digits.is_empty() { 0 } else { digits.parse().map_err(|_| invalid())? };
     let number = match (letter, size) {
         ("?", 0) | ("b", 1) => Some(NumberType::Bool),
-        ("i", 1) => Some(NumberType::I8),
-        ("i", 2) => Some(NumberType::I16),
-        ("i", 4) => Some(NumberType::I32),
-        ("i", 8) => Some(NumberType::I64),
-        ("u", 1) => Some(NumberType::U8),
-        ("u", 2) => Some(NumberType::U16),
-        ("u", 4) => Some(NumberType::U32),
-        ("u", 8) => Some(NumberType::U64),
-        ("f", 2) => Some(NumberType::F16),
-        ("f", 4) => Some(NumberType::F32),
-        ("f", 8) => Some(NumberType::F64),
+        ("i", 1 | 2 | 4 | 8) => NumberType::of_kind('i', size),
+        ("u", 1 | 2 | 4 | 8) => NumberType::of_kind('u', size),
+        ("f", 2 | 4 | 8) => NumberType::of_kind('f', size),
         ("S" | "a" | "U" | "V" | "O" | "c" | "M" | "m" | "f", _) => None,
         _ => return Err(invalid()),
     };

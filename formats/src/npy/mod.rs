@@ -27,7 +27,7 @@ use crate::data::{ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::first_column::{self, FirstColumn};
 use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, frame_of, position_count, widened};
+use crate::named_arrays::{NamedArray, frame_of, position_count};
 use crate::number::{self, NumberType, components, interleaved};
 use crate::row::{Completeness, FormatRow, HeadCheck, ParticleReader};
 use crate::steps::{FoundStep, StepSource};
@@ -302,9 +302,7 @@ pub(crate) fn unnamed_frame(array: NamedArray) -> Result<ParticleFrame> {
 /// The first four numbers of the first rows; NaN in a column that does not exist.
 fn first_numbers(values: &Values, arity: usize) -> Vec<[f64; 4]> {
     let row_count = (values.len() / arity.max(1)).min(first_column::ROWS_MAX);
-    let Some(Values::F64(numbers)) = widened(&number::slice(values, 0..row_count * arity)) else {
-        return Vec::new();
-    };
+    let numbers = number::wide(&number::slice(values, 0..row_count * arity));
     let first = |row: &[f64]| std::array::from_fn(|column| row.get(column).copied().unwrap_or(f64::NAN));
     numbers.chunks_exact(arity.max(1)).map(first).collect()
 }

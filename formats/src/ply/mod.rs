@@ -144,7 +144,7 @@ fn frame_of_records(header: &PlyHeader, records: &[u8], endian: Endian) -> Resul
 
 fn scale_groups(frame: &mut ParticleFrame, columns: &Columns) {
     for (attribute, group) in frame.attributes.iter_mut().zip(&columns.groups) {
-        attribute.scale(group.scale);
+        attribute.values.scale(group.scale);
     }
 }
 

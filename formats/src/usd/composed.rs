@@ -20,7 +20,7 @@ use std::sync::Arc;
 use super::FORMAT;
 use super::layer::{Layer, LayerArc, ListEdits, TimeSamples, Value};
 use super::package::{LayerBytes, Package};
-use crate::container::{ContainerFile, OpenFurther};
+use crate::container::{ContainerFile, OpenFurther, folder_of, further_path};
 use crate::error::{Error, Result};
 use crate::limits::Limits;
 use crate::text::excerpt;
@@ -47,9 +47,7 @@ struct LayerFile<'a> {
 
 /// A layer with its sublayers, as indices into the files, strongest first, and the offset and scale of the
 /// time of each.
-struct LayerStack {
-    layers: Vec<(usize, Retime)>,
-}
+type LayerStack = Vec<(usize, Retime)>;
 
 /// The offset and scale that turn a time code of a layer into one of the stage.
 type Retime = [f64; 2];
@@ -114,7 +112,7 @@ impl<'a> ComposedStage<'a> {
     /// # Errors
     /// Those of [`Layer::read`]; [`Error::Unsupported`] for a sublayer that cannot be opened.
     pub(crate) fn open(container: &ContainerFile<'a>, limits: &Limits) -> Result<ComposedStage<'a>> {
-        ComposedStage::of_file(LayerBytes::first(container.file)?, container.open, limits)
+        ComposedStage::of_file(LayerBytes::new(Rc::new(container.file))?, container.open, limits)
     }
 
     /// The stage of a file, which `open` opens others beside.
@@ -187,11 +185,8 @@ impl<'a> ComposedStage<'a> {
     /// The file with this path, in the folder or in the package of another one. `place` is what refers to it.
     fn further_file(&self, from: usize, path: &str, place: &str) -> Result<usize> {
         let from = self.file(from);
-        let is_found = |file: &Rc<LayerFile>| {
-            let package =
-                |file: &LayerFile| file.package.as_ref().map(Rc::as_ptr).map(<*const Package>::addr);
-            file.path == path && package(file) == package(&from)
-        };
+        let package = |file: &LayerFile| file.package.as_ref().map(Rc::as_ptr).map(<*const Package>::addr);
+        let is_found = |file: &Rc<LayerFile>| file.path == path && package(file) == package(&from);
         if let Some(index) = self.files.borrow().iter().position(is_found) {
             return Ok(index);
         }
@@ -201,18 +196,18 @@ impl<'a> ComposedStage<'a> {
             return self.add_layer(bytes, path.to_owned(), Some(Rc::clone(package)));
         }
         let file = (self.open)(path).map_err(|error| refused(place, path, &error.to_string()))?;
-        self.add_file(LayerBytes::further(file)?, path.to_owned())
+        self.add_file(LayerBytes::new(file.into())?, path.to_owned())
     }
 
     /// The stack of layers that starts with this file.
     fn stack(&self, first: usize) -> Result<usize> {
-        if let Some(found) = self.stacks.borrow().iter().position(|stack| stack.layers[0].0 == first) {
+        if let Some(found) = self.stacks.borrow().iter().position(|stack| stack[0].0 == first) {
             return Ok(found);
         }
         let mut layers = Vec::new();
         self.add_sublayers(first, [0.0, 1.0], &mut layers, 0)?;
         let mut stacks = self.stacks.borrow_mut();
-        stacks.push(Rc::new(LayerStack { layers }));
+        stacks.push(Rc::new(layers));
         Ok(stacks.len() - 1)
     }
 
@@ -298,7 +293,7 @@ impl<'a> ComposedStage<'a> {
         for site in sites {
             let stack = Rc::clone(&self.stacks.borrow()[site.stack]);
             all.extend(site.nodes.iter().map(|&(index, node)| {
-                let (layer, of_layer) = stack.layers[index];
+                let (layer, of_layer) = stack[index];
                 SiteNode { file: self.file(layer), node, of_layer, retime: combined(site.retime, of_layer) }
             }));
         }
@@ -385,7 +380,7 @@ impl<'a> ComposedStage<'a> {
 
     /// The site of the root of a stack.
     fn root(&self, stack: usize) -> Vec<Site> {
-        let count = self.stacks.borrow()[stack].layers.len();
+        let count = self.stacks.borrow()[stack].len();
         vec![Site { stack, nodes: (0..count).map(|layer| (layer, 0)).collect(), retime: [0.0, 1.0] }]
     }
 
@@ -401,7 +396,7 @@ impl<'a> ComposedStage<'a> {
     fn child_site(&self, site: &Site, name: &str) -> Site {
         let stack = Rc::clone(&self.stacks.borrow()[site.stack]);
         let child = |&(index, node): &(usize, usize)| {
-            Some((index, self.file(stack.layers[index].0).layer.child(node, name)?))
+            Some((index, self.file(stack[index].0).layer.child(node, name)?))
         };
         Site { nodes: site.nodes.iter().filter_map(child).collect(), ..*site }
     }
@@ -421,22 +416,33 @@ impl<'a> ComposedStage<'a> {
             return Err(Error::too_large(FORMAT, what));
         }
         found.push(site.clone());
-        let of_stack = |target: String| LayerArc { asset: String::new(), prim: target, retime: [0.0, 1.0] };
         for target in self.names(&site, "inheritPaths")? {
             self.follow(&site, &of_stack(target), found, path, depth)?;
         }
         for set in self.names(&site, "variantSetNames")? {
-            if let Some(variant) = self.selection(found, &set)? {
+            let mut selected = self.selection(found, &set)?;
+            if selected.is_none() {
+                // What the prim refers to is weaker than its variants, and can select one nevertheless.
+                let mut all = found.clone();
+                self.add_weaker(&site, &mut all, path, depth)?;
+                selected = self.selection(&all, &set)?;
+            }
+            if let Some(variant) = selected {
                 self.expand(self.child_site(&site, &format!("{{{set}={variant}}}")), found, path, depth + 1)?;
             }
         }
+        self.add_weaker(&site, found, path, depth)
+    }
+
+    /// Adds the sites that are weaker than the variants of a site.
+    fn add_weaker(&self, site: &Site, found: &mut Vec<Site>, path: &str, depth: usize) -> Result<()> {
         for field in ["references", "payload"] {
-            for arc in self.arcs(&site, field, path)? {
-                self.follow(&site, &arc, found, path, depth)?;
+            for arc in self.arcs(site, field, path)? {
+                self.follow(site, &arc, found, path, depth)?;
             }
         }
-        for target in self.names(&site, "specializes")? {
-            self.follow(&site, &of_stack(target), found, path, depth)?;
+        for target in self.names(site, "specializes")? {
+            self.follow(site, &of_stack(target), found, path, depth)?;
         }
         Ok(())
     }
@@ -453,13 +459,13 @@ impl<'a> ComposedStage<'a> {
         let mut retime = combined(site.retime, arc.retime);
         let mut target = site.stack;
         if !arc.asset.is_empty() {
-            let own = self.stacks.borrow()[site.stack].layers[0].0;
+            let own = self.stacks.borrow()[site.stack][0].0;
             let further = self.further_file(own, &arc.asset, &excerpt(path))?;
             retime[1] *=
                 codes_per_second(&self.file(own).layer)? / codes_per_second(&self.file(further).layer)?;
             target = self.stack(further)?;
         }
-        let first = self.stacks.borrow()[target].layers[0].0;
+        let first = self.stacks.borrow()[target][0].0;
         let prim = match arc.prim.as_str() {
             "" => self.file(first).layer.word(0, "defaultPrim")?.unwrap_or_default(),
             prim => prim.to_owned(),
@@ -521,6 +527,11 @@ impl<'a> ComposedStage<'a> {
     }
 }
 
+/// An arc to a prim of the same stack.
+fn of_stack(prim: String) -> LayerArc {
+    LayerArc { asset: String::new(), prim, retime: [0.0, 1.0] }
+}
+
 /// The time codes of a second in a layer.
 fn codes_per_second(layer: &Layer) -> Result<f64> {
     let stated = match layer.number(0, "timeCodesPerSecond")? {
@@ -536,17 +547,9 @@ fn codes_per_second(layer: &Layer) -> Result<f64> {
 /// [`Error::Unsupported`] if it is outside the folder of the first one.
 fn beside(from: &str, asset: &str, place: &str) -> Result<String> {
     let outside = || refused(place, asset, "it is outside the folder of the file");
-    let mut names: Vec<&str> = from.split('/').collect();
-    names.pop();
-    for name in asset.split(['/', '\\']) {
-        match name {
-            "" | "." => {}
-            ".." => drop(names.pop().ok_or_else(outside)?),
-            name => names.push(name),
-        }
-    }
-    let is_elsewhere = asset.starts_with(['/', '\\']) || asset.contains([':', '\0', '[']) || names.is_empty();
-    if is_elsewhere { Err(outside()) } else { Ok(names.join("/")) }
+    // Brackets name a file within a package.
+    let path = further_path(FORMAT, folder_of(from), asset).ok().filter(|path| !path.contains('['));
+    path.ok_or_else(outside)
 }
 
 fn refused(place: &str, asset: &str, why: &str) -> Error {

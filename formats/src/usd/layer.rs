@@ -18,8 +18,9 @@ use super::package::{LayerBytes, LimitedBytes};
 use crate::data::Values;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, widened};
+use crate::named_arrays::NamedArray;
 use crate::number::NumberType;
+pub(crate) use crate::number::wide;
 use crate::usdc::CrateFile;
 
 /// A layer.
@@ -51,12 +52,12 @@ pub(crate) enum NodeFields {
     /// In a binary file: the index of the first one in its table of field sets.
     Set(usize),
     /// In a text.
-    List(Vec<(String, Value)>),
+    Map(HashMap<String, Value>),
 }
 
 impl Default for NodeFields {
     fn default() -> NodeFields {
-        NodeFields::List(Vec::new())
+        NodeFields::Map(HashMap::new())
     }
 }
 
@@ -87,7 +88,7 @@ pub(crate) enum Value {
 /// Where an array is in its file.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum ArrayPlace {
-    /// The bits that represent a value in a binary file.
+    /// The bits that represent an array in a binary file or, in a dictionary and among samples, any value.
     Binary(u64),
     /// Its elements, the first and the end of its bytes, and its line.
     Text(ArrayElement, u64, u64, u64),
@@ -101,23 +102,79 @@ pub(crate) enum ArrayElement {
     Words,
 }
 
+/// The types of numbers: their codes in binary files, their names in texts, the numbers, and how many.
+const NUMBER_TYPES: [(u8, &str, NumberType, usize); 16] = {
+    use NumberType::{Bool, F16, F32, F64, I32, I64, U8, U32, U64};
+    [
+        (1, "bool", Bool, 1),
+        (2, "uchar", U8, 1),
+        (3, "int", I32, 1),
+        (4, "uint", U32, 1),
+        (5, "int64", I64, 1),
+        (6, "uint64", U64, 1),
+        (7, "half", F16, 1),
+        (8, "float", F32, 1),
+        (9, "double", F64, 1),
+        (13, "matrix2d", F64, 4),
+        (14, "matrix3d", F64, 9),
+        (15, "matrix4d", F64, 16),
+        (16, "quatd", F64, 4),
+        (17, "quatf", F32, 4),
+        (18, "quath", F16, 4),
+        (56, "timecode", F64, 1),
+    ]
+};
+
+impl ArrayElement {
+    /// The elements of values with this code in a binary file; `None` if they are neither numbers nor words.
+    pub(crate) fn of_code(code: u8) -> Option<ArrayElement> {
+        use NumberType::{F16, F32, F64, I32};
+        let (number, arity) = match code {
+            10..=12 => return Some(ArrayElement::Words),
+            19..=30 => {
+                let index = usize::from(code - 19);
+                ([F64, F32, F16, I32][index % 4], 2 + index / 4)
+            }
+            42..=44 => (I32, 1), // specifiers, permissions and variabilities
+            _ => NUMBER_TYPES.iter().find(|row| row.0 == code).map(|row| (row.2, row.3))?,
+        };
+        Some(ArrayElement::Numbers(number, arity))
+    }
+
+    /// The elements of an array of this type, such as `point3f`.
+    pub(crate) fn named(name: &str) -> Option<ArrayElement> {
+        let find = |name: &str| NUMBER_TYPES.iter().find(|(_, known, ..)| *known == name);
+        let name = if name == "frame4d" { "matrix4d" } else { name };
+        if ["string", "token", "asset"].contains(&name) {
+            return Some(ArrayElement::Words);
+        } else if let Some(&(.., number, arity)) = find(name) {
+            return Some(ArrayElement::Numbers(number, arity));
+        }
+        // `float3` or, with a role, `point3f`
+        let (stem, rest) = name.split_at(name.find(|c: char| c.is_ascii_digit())?);
+        let arity = ["2", "3", "4"].iter().position(|digit| rest.starts_with(digit))? + 2;
+        let has_role = ["point", "normal", "vector", "color", "texCoord"].contains(&stem);
+        let scalar = match (stem, &rest[1..]) {
+            ("int" | "half" | "float" | "double", "") => stem,
+            (_, "h") if has_role => "half",
+            (_, "f") if has_role => "float",
+            (_, "d") if has_role => "double",
+            _ => return None,
+        };
+        find(scalar).map(|(.., number, _)| ArrayElement::Numbers(*number, arity))
+    }
+}
+
 /// The values of a property over time, in the order of time codes.
 #[derive(Debug)]
 pub(crate) struct TimeSamples {
     pub(crate) codes: Vec<f64>,
-    pub(crate) values: SampleValues,
-}
-
-/// The values at the time codes.
-#[derive(Debug)]
-pub(crate) enum SampleValues {
-    /// The bits that represent them in a binary file.
-    Binary(Vec<u64>),
-    Text(Vec<Value>),
+    /// See [`Layer::resolved`].
+    pub(crate) values: Vec<Value>,
 }
 
 /// A reference or a payload, or a sublayer.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct LayerArc {
     /// The path of the file; empty for the same layer.
     pub(crate) asset: String,
@@ -128,19 +185,13 @@ pub(crate) struct LayerArc {
 }
 
 /// An edit of the list in weaker layers.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct ListEdits<T> {
     /// Replaces the list.
     pub(crate) explicit: Option<Vec<T>>,
     pub(crate) deleted: Vec<T>,
     pub(crate) prepended: Vec<T>,
     pub(crate) appended: Vec<T>,
-}
-
-impl<T> Default for ListEdits<T> {
-    fn default() -> ListEdits<T> {
-        ListEdits { explicit: None, deleted: Vec::new(), prepended: Vec::new(), appended: Vec::new() }
-    }
 }
 
 impl<T: Clone + PartialEq> ListEdits<T> {
@@ -188,9 +239,7 @@ impl<'a> Layer<'a> {
     pub(crate) fn field(&self, node: usize, name: &str) -> Result<Option<Value>> {
         match (&self.nodes[node].fields, &self.source) {
             (NodeFields::Set(first), LayerSource::Binary(file)) => file.field(*first, name),
-            (NodeFields::List(fields), _) => {
-                Ok(fields.iter().find(|(field, _)| field == name).map(|(_, value)| value.clone()))
-            }
+            (NodeFields::Map(fields), _) => Ok(fields.get(name).cloned()),
             (NodeFields::Set(_), LayerSource::Text(_)) => Ok(None),
         }
     }
@@ -228,15 +277,9 @@ impl<'a> Layer<'a> {
         {
             return Ok(names);
         }
-        let is_prim = |child: &&usize| {
-            !self.nodes[**child].name.starts_with('{') && self.nodes[**child].fields.has("specifier")
-        };
-        Ok(self.nodes[node]
-            .order
-            .iter()
-            .filter(is_prim)
-            .map(|child| self.nodes[*child].name.to_string())
-            .collect())
+        let children = self.nodes[node].order.iter().map(|child| &self.nodes[*child]);
+        let prims = children.filter(|child| !child.name.starts_with('{') && child.fields.has("specifier"));
+        Ok(prims.map(|child| child.name.to_string()).collect())
     }
 
     /// Reads an array. The table of strings has an element for each element of the array.
@@ -251,17 +294,17 @@ impl<'a> Layer<'a> {
         Ok(NamedArray { name: name.to_owned(), arity, values })
     }
 
+    /// A value of a dictionary or of a sample, which a binary file has elsewhere.
+    pub(crate) fn resolved(&self, value: &Value, what: &str) -> Result<Value> {
+        match (value, &self.source) {
+            (Value::Array(ArrayPlace::Binary(rep)), LayerSource::Binary(file)) => file.value(*rep, what),
+            _ => Ok(value.clone()),
+        }
+    }
+
     /// The value of a sample.
     pub(crate) fn sample(&self, samples: &TimeSamples, index: usize) -> Result<Value> {
-        match (&samples.values, &self.source) {
-            (SampleValues::Binary(reps), LayerSource::Binary(file)) => {
-                file.value(reps.get(index).copied().ok_or_else(|| unexpected("a sample"))?, "a sample")
-            }
-            (SampleValues::Text(values), _) => {
-                values.get(index).cloned().ok_or_else(|| unexpected("a sample"))
-            }
-            _ => Err(unexpected("a sample")),
-        }
+        self.resolved(samples.values.get(index).ok_or_else(|| unexpected("a sample"))?, "a sample")
     }
 
     /// The sublayers, strongest first.
@@ -307,21 +350,20 @@ pub(crate) fn add_node(nodes: &mut Vec<LayerNode>, parent: usize, node: LayerNod
 impl NodeFields {
     /// Whether a text has a field.
     pub(crate) fn has(&self, name: &str) -> bool {
-        matches!(self, NodeFields::List(fields) if fields.iter().any(|(field, _)| field == name))
+        matches!(self, NodeFields::Map(fields) if fields.contains_key(name))
     }
 
     /// Removes a field of a text.
     pub(crate) fn take(&mut self, name: &str) -> Option<Value> {
-        let NodeFields::List(fields) = self else { return None };
-        let index = fields.iter().position(|(field, _)| field == name)?;
-        Some(fields.swap_remove(index).1)
+        let NodeFields::Map(fields) = self else { return None };
+        fields.remove(name)
     }
 
     /// Sets a field of a text.
     pub(crate) fn set(&mut self, name: &str, value: Value) {
-        let NodeFields::List(fields) = self else { return };
-        fields.retain(|(field, _)| field != name);
-        fields.push((name.to_owned(), value));
+        if let NodeFields::Map(fields) = self {
+            fields.insert(name.to_owned(), value);
+        }
     }
 }
 
@@ -332,14 +374,6 @@ impl Value {
             Value::Numbers(numbers) => numbers.first().copied(),
             _ => None,
         }
-    }
-}
-
-/// All values as 64-bit floats.
-pub(crate) fn wide(values: &Values) -> Vec<f64> {
-    match widened(values) {
-        Some(Values::F64(values)) => values,
-        _ => Vec::new(),
     }
 }
 

@@ -19,7 +19,7 @@ mod sequence;
 #[cfg(test)]
 mod tests;
 
-use crate::data::{MeshView, VertexAttribute, VertexValues};
+use crate::data::{MeshView, VertexAttribute, VertexValues, bounds_of};
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
 
 pub(crate) use sequence::{SequenceAttribute, UsdSequence};
@@ -190,7 +190,7 @@ impl<'a> MeshProperty<'a> {
 pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool], is_clip: bool) -> Vec<MeshProperty<'a>> {
     let triangles = mesh.triangles;
     let mut found = Vec::new();
-    if let Some(extent) = extent(mesh) {
+    if let Some(extent) = bounds_of(mesh.positions) {
         found.push(MeshProperty::new("float3[]", "extent", PropertyValue::Extent(extent)));
     }
     found.extend([
@@ -212,17 +212,6 @@ pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool], is_clip: bo
         found.push(MeshProperty::new("token[]", "xformOpOrder", PropertyValue::TokenList(TRANSLATE)));
     }
     found
-}
-
-/// The minimum and maximum corner; `None` without vertices.
-fn extent(mesh: &MeshView) -> Option<[[f32; 3]; 2]> {
-    let first = *mesh.positions.first()?;
-    Some(mesh.positions.iter().fold([first, first], |[low, high], position| {
-        [
-            std::array::from_fn(|axis| low[axis].min(position[axis])),
-            std::array::from_fn(|axis| high[axis].max(position[axis])),
-        ]
-    }))
 }
 
 /// The property that an attribute is written to.

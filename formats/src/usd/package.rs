@@ -16,45 +16,23 @@ use crate::text::excerpt;
 /// The bytes of a layer: a file, or a part of one.
 #[derive(Clone)]
 pub(crate) struct LayerBytes<'a> {
-    file: SharedFile<'a>,
+    file: Rc<dyn ReadAt + 'a>,
     start: u64,
     pub(crate) length: u64,
 }
 
-#[derive(Clone)]
-enum SharedFile<'a> {
-    First(&'a dyn ReadAt),
-    Bytes(&'a [u8]),
-    Further(Rc<dyn ReadAt>),
-}
-
 impl<'a> LayerBytes<'a> {
-    /// The file that is read.
-    pub(crate) fn first(file: &'a dyn ReadAt) -> Result<LayerBytes<'a>> {
-        Ok(LayerBytes { file: SharedFile::First(file), start: 0, length: file.size_bytes()? })
-    }
-
-    /// A file in memory.
-    pub(crate) fn of_slice(bytes: &'a [u8]) -> LayerBytes<'a> {
-        LayerBytes { file: SharedFile::Bytes(bytes), start: 0, length: bytes.len() as u64 }
-    }
-
-    /// A file to which a layer refers.
-    pub(crate) fn further(file: Box<dyn ReadAt>) -> Result<LayerBytes<'a>> {
+    /// All bytes of a file.
+    pub(crate) fn new(file: Rc<dyn ReadAt + 'a>) -> Result<LayerBytes<'a>> {
         let length = file.size_bytes()?;
-        Ok(LayerBytes { file: SharedFile::Further(file.into()), start: 0, length })
+        Ok(LayerBytes { file, start: 0, length })
     }
 
     /// Fills `out` with the bytes from `offset` on.
     pub(crate) fn read(&self, out: &mut [u8], offset: u64) -> Result<()> {
         let end = offset.checked_add(out.len() as u64).filter(|end| *end <= self.length);
         end.ok_or(io::Error::from(io::ErrorKind::UnexpectedEof))?;
-        match &self.file {
-            SharedFile::First(file) => file.read_exact_at(out, self.start + offset)?,
-            SharedFile::Bytes(bytes) => bytes.read_exact_at(out, self.start + offset)?,
-            SharedFile::Further(file) => file.read_exact_at(out, self.start + offset)?,
-        }
-        Ok(())
+        Ok(self.file.read_exact_at(out, self.start + offset)?)
     }
 
     /// The first bytes, at most `N`; zeros beyond the end.

@@ -2,46 +2,13 @@
 
 use super::FORMAT;
 use super::composed::{ComposedStage, StagePrim, StrongestValue};
-use super::layer::{Value, wide};
+use super::layer::Value;
 use crate::data::Values;
 use crate::error::{Error, Result};
+use crate::matrix::{IDENTITY, product, quaternion_rotation, rotation};
+pub(crate) use crate::matrix::{Matrix as PrimMatrix, cofactors, determinant, transformed};
 use crate::named_arrays::NamedArray;
 use crate::text::excerpt;
-
-/// A transform of row vectors: the last row is the translation.
-pub(crate) type PrimMatrix = [[f64; 4]; 4];
-
-pub(crate) const IDENTITY: PrimMatrix =
-    [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
-
-/// The transform that applies `a` first.
-pub(crate) fn product(a: &PrimMatrix, b: &PrimMatrix) -> PrimMatrix {
-    std::array::from_fn(|row| std::array::from_fn(|column| (0..4).map(|k| a[row][k] * b[k][column]).sum()))
-}
-
-/// The transformed point, or the transformed direction for `weight` 0.
-pub(crate) fn transformed(matrix: &PrimMatrix, [x, y, z]: [f64; 3], weight: f64) -> [f64; 3] {
-    std::array::from_fn(|axis| {
-        x * matrix[0][axis] + y * matrix[1][axis] + z * matrix[2][axis] + weight * matrix[3][axis]
-    })
-}
-
-/// How a transform changes volumes; negative if it mirrors.
-pub(crate) fn determinant(m: &PrimMatrix) -> f64 {
-    let cross: [f64; 3] = cofactors(m)[0];
-    (0..3).map(|axis| m[0][axis] * cross[axis]).sum()
-}
-
-/// The matrix that turns normals, up to their length.
-pub(crate) fn cofactors(m: &PrimMatrix) -> [[f64; 3]; 3] {
-    std::array::from_fn(|row| {
-        let [a, b] = [&m[(row + 1) % 3], &m[(row + 2) % 3]];
-        std::array::from_fn(|axis| {
-            let [y, z] = [(axis + 1) % 3, (axis + 2) % 3];
-            a[y] * b[z] - a[z] * b[y]
-        })
-    })
-}
 
 fn inverse(m: &PrimMatrix) -> Option<PrimMatrix> {
     let (cofactors, determinant) = (cofactors(m), determinant(m));
@@ -59,34 +26,25 @@ fn inverse(m: &PrimMatrix) -> Option<PrimMatrix> {
     Some(inverse)
 }
 
-/// The samples around a time.
-enum Moment {
-    Value(Value),
-    /// Two samples, and how far the time is from the first to the second.
-    Between(Value, Value, f64),
-}
+/// The value at a time code or, if it lies between two samples, both, and how far it is from the first to the
+/// second. Without a time, the default or the first sample.
+type Moment = (Value, Option<(Value, f64)>);
 
-/// The value at a time code; `None` is the default, or the first sample.
 fn moment(value: &StrongestValue, time: Option<f64>) -> Result<Option<Moment>> {
-    let Some((samples, codes)) = &value.samples else {
-        return Ok(value.default.clone().map(Moment::Value));
-    };
-    let sample = |index: usize| value.layer().sample(samples, index);
-    let Some(time) = time else {
-        return Ok(Some(Moment::Value(match &value.default {
-            Some(default) => default.clone(),
-            None => sample(0)?,
-        })));
+    let (Some((samples, codes)), Some(time)) = (&value.samples, time) else {
+        let first = value.samples.as_ref().filter(|_| value.default.is_none());
+        let first = first.map(|(samples, _)| value.layer().sample(samples, 0)).transpose()?;
+        return Ok(first.or_else(|| value.default.clone()).map(|value| (value, None)));
     };
     let after = codes.partition_point(|code| *code <= time);
-    Ok(Some(match after {
-        0 => Moment::Value(sample(0)?),
-        _ if codes[after - 1] == time || after == codes.len() => Moment::Value(sample(after - 1)?),
-        _ => {
-            let [first, second] = [codes[after - 1], codes[after]];
-            Moment::Between(sample(after - 1)?, sample(after)?, (time - first) / (second - first))
+    let first = after.saturating_sub(1);
+    let later = match (after, codes.get(after)) {
+        (1.., Some(later)) if codes[first] < time => {
+            Some((value.layer().sample(samples, after)?, (time - codes[first]) / (later - codes[first])))
         }
-    }))
+        _ => None,
+    };
+    Ok(Some((value.layer().sample(samples, first)?, later)))
 }
 
 impl ComposedStage<'_> {
@@ -107,30 +65,25 @@ impl ComposedStage<'_> {
             Value::Unread(what) => Err(unread(prim, name, what)),
             _ => Ok(None),
         };
-        Ok(match moment(&value, time)? {
-            Some(Moment::Value(stored)) => read(&stored)?.map(|array| (array, false)),
-            Some(Moment::Between(first, second, t)) => match (read(&first)?, read(&second)?) {
-                (Some(mut array), Some(second)) => {
-                    let is_blended = blend(&mut array.values, &second.values, t);
-                    Some((array, is_blended))
-                }
-                (first, _) => first.map(|array| (array, false)),
-            },
-            None => None,
-        })
+        let Some((first, later)) = moment(&value, time)? else { return Ok(None) };
+        let Some(mut array) = read(&first)? else { return Ok(None) };
+        let is_between = match later {
+            Some((later, t)) => read(&later)?.is_some_and(|later| blend(&mut array.values, &later.values, t)),
+            None => false,
+        };
+        Ok(Some((array, is_between)))
     }
 
     /// The number, vector, matrix or quaternion of an attribute.
     fn numbers_at(&self, prim: &StagePrim, name: &str, time: Option<f64>) -> Result<Option<Vec<f64>>> {
         let Some(value) = self.attribute(prim, name)? else { return Ok(None) };
         Ok(match moment(&value, time)? {
-            Some(Moment::Value(Value::Numbers(numbers))) => Some(numbers),
-            Some(Moment::Between(Value::Numbers(first), Value::Numbers(second), t)) => {
+            Some((Value::Numbers(first), Some((Value::Numbers(second), t)))) => {
                 let is_rotation = name.starts_with("xformOp:orient");
                 Some(if is_rotation { turned(&first, &second, t) } else { between(&first, &second, t) })
             }
-            Some(Moment::Between(Value::Numbers(first), ..)) => Some(first),
-            Some(Moment::Value(Value::Unread(what))) => return Err(unread(prim, name, what)),
+            Some((Value::Numbers(numbers), _)) => Some(numbers),
+            Some((Value::Unread(what), _)) => return Err(unread(prim, name, what)),
             _ => None,
         })
     }
@@ -139,20 +92,28 @@ impl ComposedStage<'_> {
     pub(crate) fn word_at(&self, prim: &StagePrim, name: &str, time: Option<f64>) -> Result<Option<String>> {
         let Some(value) = self.attribute(prim, name)? else { return Ok(None) };
         Ok(match moment(&value, time)? {
-            Some(Moment::Value(Value::Word(word)) | Moment::Between(Value::Word(word), ..)) => Some(word),
+            Some((Value::Word(word), _)) => Some(word),
             _ => None,
         })
     }
 
-    /// The steps of the transform of a prim, the outermost first.
-    fn steps(&self, prim: &StagePrim) -> Result<Vec<String>> {
-        if ["", "Scope"].contains(&self.type_name(prim)?.as_str()) {
-            return Ok(Vec::new()); // these have no transform
+    /// The steps of the transform of a prim to the stage, each with the prim that has it, in the order in which
+    /// they are applied.
+    fn steps<'p>(&self, prim: &'p StagePrim) -> Result<Vec<(&'p StagePrim, String)>> {
+        let mut all = Vec::new();
+        for prim in ancestors(prim) {
+            if ["", "Scope"].contains(&self.type_name(prim)?.as_str()) {
+                continue; // these have no transform
+            }
+            let Some(order) = self.attribute(prim, "xformOpOrder")? else { continue };
+            let steps = order.default.as_ref().map_or(Ok(Vec::new()), |words| order.layer().words(words))?;
+            let is_reset = steps.iter().any(|step| step == RESET);
+            all.extend(steps.into_iter().rev().filter(|step| step != RESET).map(|step| (prim, step)));
+            if is_reset {
+                break;
+            }
         }
-        match self.attribute(prim, "xformOpOrder")? {
-            Some(value) => value.default.as_ref().map_or(Ok(Vec::new()), |words| value.layer().words(words)),
-            None => Ok(Vec::new()),
-        }
+        Ok(all)
     }
 
     /// The transform of a prim to the stage.
@@ -161,14 +122,8 @@ impl ComposedStage<'_> {
     /// [`Error::Unsupported`] for an unknown step or one without an inverse.
     pub(crate) fn world(&self, prim: &StagePrim, time: Option<f64>) -> Result<PrimMatrix> {
         let mut matrix = IDENTITY;
-        for prim in ancestors(prim) {
-            let steps = self.steps(prim)?;
-            for step in steps.iter().rev().filter(|step| *step != RESET) {
-                matrix = product(&matrix, &self.step(prim, step, time)?);
-            }
-            if steps.iter().any(|step| step == RESET) {
-                break;
-            }
+        for (prim, step) in self.steps(prim)? {
+            matrix = product(&matrix, &self.step(prim, &step, time)?);
         }
         Ok(matrix)
     }
@@ -191,14 +146,8 @@ impl ComposedStage<'_> {
     /// The time codes at which the transform of a prim has samples.
     pub(crate) fn transform_codes(&self, prim: &StagePrim) -> Result<Vec<f64>> {
         let mut codes = Vec::new();
-        for prim in ancestors(prim) {
-            let steps = self.steps(prim)?;
-            for step in &steps {
-                codes.extend(self.sample_codes(prim, step.strip_prefix(INVERT).unwrap_or(step))?);
-            }
-            if steps.iter().any(|step| step == RESET) {
-                break;
-            }
+        for (prim, step) in self.steps(prim)? {
+            codes.extend(self.sample_codes(prim, step.strip_prefix(INVERT).unwrap_or(&step))?);
         }
         Ok(codes)
     }
@@ -245,43 +194,28 @@ fn matrix_of(kind: &str, numbers: &[f64]) -> Option<PrimMatrix> {
         ("scale", scale @ [_, _, _]) => (0..3).for_each(|axis| matrix[axis][axis] = scale[axis]),
         ("orient", &[w, x, y, z]) => {
             let norm = (w * w + x * x + y * y + z * z).sqrt();
-            let [w, x, y, z] =
-                if norm > 0.0 { [w, x, y, z].map(|part| part / norm) } else { [1.0, 0.0, 0.0, 0.0] };
-            let two = 2.0;
-            matrix[0][..3].copy_from_slice(&[
-                1.0 - two * (y * y + z * z),
-                two * (x * y + w * z),
-                two * (x * z - w * y),
-            ]);
-            matrix[1][..3].copy_from_slice(&[
-                two * (x * y - w * z),
-                1.0 - two * (x * x + z * z),
-                two * (y * z + w * x),
-            ]);
-            matrix[2][..3].copy_from_slice(&[
-                two * (x * z + w * y),
-                two * (y * z - w * x),
-                1.0 - two * (x * x + y * y),
-            ]);
+            if norm > 0.0 {
+                matrix = quaternion_rotation([w, x, y, z].map(|part| part / norm));
+            }
         }
         ("transform", values) if values.len() == 16 => {
-            let (rows, _) = values.as_chunks::<4>();
-            (0..4).for_each(|row| matrix[row] = rows[row]);
+            matrix.as_flattened_mut().copy_from_slice(values);
         }
         _ => {
             let (stem, axes) = ["translate", "scale", "rotate"]
                 .iter()
                 .find_map(|stem| Some((*stem, kind.strip_prefix(stem)?)))?;
             let axis_of = |letter: char| "XYZ".find(letter);
+            let unit = |axis: usize| [0, 1, 2].map(|other| f64::from(u8::from(other == axis)));
             let mut letters = axes.chars();
             match (stem, letters.next().and_then(axis_of), axes.len(), numbers) {
                 ("translate", Some(axis), 1, &[x]) => matrix[3][axis] = x,
                 ("scale", Some(axis), 1, &[x]) => matrix[axis][axis] = x,
-                ("rotate", Some(axis), 1, &[angle]) => matrix = rotation(axis, angle),
+                ("rotate", Some(axis), 1, &[angle]) => matrix = rotation(unit(axis), angle),
                 ("rotate", Some(_), 3, angles @ [_, _, _]) => {
                     for letter in axes.chars() {
                         let axis = axis_of(letter)?;
-                        matrix = product(&matrix, &rotation(axis, angles[axis]));
+                        matrix = product(&matrix, &rotation(unit(axis), angles[axis]));
                     }
                 }
                 _ => return None,
@@ -289,14 +223,6 @@ fn matrix_of(kind: &str, numbers: &[f64]) -> Option<PrimMatrix> {
         }
     }
     Some(matrix)
-}
-
-fn rotation(axis: usize, degrees: f64) -> PrimMatrix {
-    let (sin, cos) = degrees.to_radians().sin_cos();
-    let [a, b] = [(axis + 1) % 3, (axis + 2) % 3];
-    let mut matrix = IDENTITY;
-    (matrix[a][a], matrix[a][b], matrix[b][a], matrix[b][b]) = (cos, sin, -sin, cos);
-    matrix
 }
 
 fn between(first: &[f64], second: &[f64], t: f64) -> Vec<f64> {
@@ -332,10 +258,4 @@ fn blend(values: &mut Values, later: &Values, t: f64) -> bool {
         }
         _ => false,
     }
-}
-
-/// Transforms vectors of three numbers; the results have 64 bits.
-pub(crate) fn all_transformed(values: &Values, matrix: &PrimMatrix, weight: f64) -> Vec<f64> {
-    let wide = wide(values);
-    wide.as_chunks::<3>().0.iter().flat_map(|vector| transformed(matrix, *vector, weight)).collect()
 }

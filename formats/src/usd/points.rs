@@ -14,14 +14,14 @@ use std::rc::Rc;
 
 use super::FORMAT;
 use super::composed::{ComposedStage, StagePrim};
-use super::layer::{Value, wide};
-use super::place::{IDENTITY, PrimMatrix, all_transformed, cofactors, determinant};
+use super::layer::Value;
 use crate::columns::role_of;
-use crate::container::{ContainerFile, ContainerReader, Sample};
+use crate::container::{ContainerFile, ContainerReader, Sample, frame_at};
 use crate::data::{AttributeRole, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, ParticlePart, frame_of, joined_parts};
+use crate::matrix::{IDENTITY, Matrix, change_vectors, determinant, normal_transform, transformed};
+use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
 use crate::number;
 use crate::row::{FormatRow, ParticleReader};
 use crate::text::{excerpt, excerpts};
@@ -44,21 +44,19 @@ pub(crate) static PACKAGE_ROW: FormatRow = FormatRow {
 fn samples(container: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>> {
     let stage = ComposedStage::open(container, limits)?;
     let codes = codes_of(&stage, &PointPrims::find(&stage)?, limits)?;
-    if codes.is_empty() {
-        return Ok(vec![Sample { number: 0, time: None }]);
-    }
     let per_second = stage.codes_per_second()?;
-    let are_integers = codes.iter().all(|code| code.fract() == 0.0 && code.abs() < 2_f64.powi(53));
-    let sample = |(index, code): (usize, &f64)| {
+    let are_integers = codes.iter().flatten().all(|code| code.fract() == 0.0 && code.abs() < 2_f64.powi(53));
+    let sample = |(index, code): (i64, Option<f64>)| {
         #[expect(clippy::cast_possible_truncation, reason = "an integer of at most 53 bits")]
-        let number = if are_integers { *code as i64 } else { i64::try_from(index).unwrap_or(i64::MAX) };
-        Sample { number, time: Some(code / per_second) }
+        let number = code.filter(|_| are_integers).map_or(index, |code| code as i64);
+        Sample { number, time: code.map(|code| code / per_second) }
     };
-    Ok(codes.iter().enumerate().map(sample).collect())
+    Ok((0..).zip(codes).map(sample).collect())
 }
 
-/// The time codes at which points have samples or, if they have none, at which their transforms have.
-fn codes_of(stage: &ComposedStage, found: &PointPrims, limits: &Limits) -> Result<Vec<f64>> {
+/// The time codes at which points have samples or, if they have none, at which their transforms have; a single
+/// `None` without any samples.
+fn codes_of(stage: &ComposedStage, found: &PointPrims, limits: &Limits) -> Result<Vec<Option<f64>>> {
     let mut codes = Vec::new();
     for (prim, points) in &found.prims {
         codes.extend(stage.sample_codes(prim, points)?);
@@ -69,8 +67,8 @@ fn codes_of(stage: &ComposedStage, found: &PointPrims, limits: &Limits) -> Resul
         }
     }
     let codes = distinct(codes);
-    codes.len().checked_sub(1).map_or(Ok(()), |last| limits.check_step(FORMAT, last))?;
-    Ok(codes)
+    limits.check_step(FORMAT, codes.len().saturating_sub(1))?;
+    Ok(if codes.is_empty() { vec![None] } else { codes.into_iter().map(Some).collect() })
 }
 
 /// Time codes in ascending order, each once.
@@ -85,33 +83,26 @@ fn read(container: &ContainerFile, index: usize, limits: &Limits) -> Result<Part
     let stage = ComposedStage::open(container, limits)?;
     let found = PointPrims::find(&stage)?;
     let codes = codes_of(&stage, &found, limits)?;
-    let time = codes.get(index).copied();
-    if index >= codes.len().max(1) {
-        let what = format!("there is no frame {index}: the file has {}", codes.len().max(1));
-        return Err(Error::invalid(FORMAT, Position::File, what));
-    }
+    let time = *frame_at(FORMAT, &codes, index)?;
     let mut notes = found.notes;
-    let mut frames = Vec::new();
+    let mut parts = Vec::new();
     let mut hidden = Vec::new();
     for (prim, points) in &found.prims {
         if !stage.is_visible(prim, time)? {
             hidden.push(prim.path.clone());
             continue;
         }
-        frames.push(read_prim(&stage, prim, points, time, &mut notes, limits)?);
-        limits.check_particles(FORMAT, frames.iter().map(|part| part.positions.len() as u64).sum())?;
+        parts.push(read_prim(&stage, prim, points, time, &mut notes, limits)?);
+        limits.check_particles(
+            FORMAT,
+            parts.iter().map(|part: &ParticlePart| part.positions.len() as u64).sum(),
+        )?;
     }
     if !hidden.is_empty() {
         notes.push(format!("skipped invisible prims: {}", excerpts(&hidden)));
     }
-    if frames.len() > 1 {
-        notes.push(format!("the points of {} prims are one frame", frames.len()));
-    }
-    let ParticlePart { positions, arrays } = joined_parts(frames, "prims", &mut notes);
-    let mut frame = frame_of(Some(positions), arrays).unwrap_or_default();
     notes.extend(units_note(&stage)?);
-    frame.notes.append(&mut notes);
-    Ok(frame)
+    Ok(frame_of_parts(parts, "prims", notes))
 }
 
 /// A note on the unit and the axis of the stage, unless they are the usual ones.
@@ -167,22 +158,20 @@ impl PointPrims {
                 .notes
                 .push(format!("skipped prims for purposes other than rendering: {}", excerpts(&unrendered)));
         }
-        if found.prims.is_empty() && others.contains_key("Mesh") {
+        if !found.prims.is_empty() {
+            return Ok(found);
+        }
+        if others.contains_key("Mesh") {
             return Err(Error::unsupported(FORMAT, crate::MESH_REFUSAL));
         }
-        if found.prims.is_empty() {
-            let others: Vec<String> = others
-                .into_iter()
-                .filter(|(kind, _)| !kind.is_empty())
-                .map(|(kind, count)| format!("{count} {}", excerpt(kind)))
-                .collect();
-            let what = format!(
-                "the stage has no prims of the type Points or PointInstancer; it has {}",
-                if others.is_empty() { "no others".to_owned() } else { others.join(", ") }
-            );
-            return Err(Error::unsupported(FORMAT, what));
-        }
-        Ok(found)
+        others.remove("");
+        let others: Vec<String> =
+            others.into_iter().map(|(kind, count)| format!("{count} {}", excerpt(kind))).collect();
+        let what = format!(
+            "the stage has no prims of the type Points or PointInstancer; it has {}",
+            if others.is_empty() { "no others".to_owned() } else { others.join(", ") }
+        );
+        Err(Error::unsupported(FORMAT, what))
     }
 }
 
@@ -210,7 +199,8 @@ fn read_prim(
     limits.check_particles(FORMAT, count as u64)?;
     let mut values = array.values;
     if matrix != IDENTITY {
-        values = Values::F64(all_transformed(&values, &matrix, 1.0));
+        values = Values::F64(number::wide(&values));
+        change_vectors(&mut values, |point| transformed(&matrix, point, 1.0));
     }
     let positions = number::positions(values).unwrap_or_default();
     let is_skipped = |name: &str| name == points || name == "extent" || name.starts_with("xformOp");
@@ -231,48 +221,28 @@ fn read_prim(
 }
 
 /// Applies a transform to vectors and widths.
-fn turn(arrays: &mut [NamedArray], matrix: &PrimMatrix, prim: &StagePrim, notes: &mut Vec<String>) {
-    for array in arrays {
-        match role_of(&array.name, array.arity) {
+fn turn(arrays: &mut [NamedArray], matrix: &Matrix, prim: &StagePrim, notes: &mut Vec<String>) {
+    for NamedArray { name, arity, values } in arrays {
+        match role_of(name, *arity) {
             Some(AttributeRole::Velocity | AttributeRole::Acceleration) => {
-                array.values = narrowed(all_transformed(&array.values, matrix, 0.0), &array.values);
+                change_vectors(values, |vector| transformed(matrix, vector, 0.0));
             }
-            Some(AttributeRole::Normal) => {
-                let rows = cofactors(matrix);
-                let mut normals = IDENTITY;
-                (0..3).for_each(|row| normals[row][..3].copy_from_slice(&rows[row]));
-                let mut turned = all_transformed(&array.values, &normals, 0.0);
-                for normal in turned.as_chunks_mut::<3>().0 {
-                    let length = normal.iter().map(|x| x * x).sum::<f64>().sqrt();
-                    normal.iter_mut().for_each(|x| *x /= if length > 0.0 { length } else { 1.0 });
-                }
-                array.values = narrowed(turned, &array.values);
-            }
+            Some(AttributeRole::Normal) => change_vectors(values, normal_transform(matrix)),
             Some(AttributeRole::Radius) => {
                 let scale = determinant(matrix).abs().cbrt();
-                let rows = matrix.iter().take(3).map(|row| row.iter().map(|x| x * x).sum::<f64>().sqrt());
-                if rows.clone().any(|length| (length - scale).abs() > 1e-6 * scale) {
+                let mut rows = matrix.iter().take(3).map(|row| row.iter().map(|x| x * x).sum::<f64>().sqrt());
+                if rows.any(|length| (length - scale).abs() > 1e-6 * scale) {
                     notes.push(format!(
                         "{} has different scales along its axes: its widths have their mean",
                         excerpt(&prim.path)
                     ));
                 }
                 if (scale - 1.0).abs() > 1e-9 {
-                    let scaled = wide(&array.values).iter().map(|width| width * scale).collect();
-                    array.values = narrowed(scaled, &array.values);
+                    values.scale(scale);
                 }
             }
             _ => {}
         }
-    }
-}
-
-/// The values in 32 bits if those before had 32 bits.
-#[expect(clippy::cast_possible_truncation, reason = "the type of the file")]
-fn narrowed(values: Vec<f64>, before: &Values) -> Values {
-    match before {
-        Values::F64(_) => Values::F64(values),
-        _ => Values::F32(values.into_iter().map(|value| value as f32).collect()),
     }
 }
 
@@ -317,8 +287,8 @@ pub(crate) fn attributes(
                     format!("the indices of {}.{attribute} are outside its table", excerpt(&prim.path));
                 Error::invalid(FORMAT, Position::File, what)
             })?;
-        } else {
-            array.values = with_distinct_words(array.values);
+        } else if let Values::Strings { table, .. } = array.values {
+            array.values = number::distinct_strings(table);
         }
         let size = field("elementSize")?.and_then(|size| size.number()).unwrap_or(1.0);
         #[expect(
@@ -344,37 +314,15 @@ pub(crate) fn attributes(
             found.push(array);
         }
     }
-    if !constant.is_empty() {
-        notes.push(format!(
-            "skipped attributes of {} without a value per point: {}",
-            excerpt(&prim.path),
-            excerpts(&constant)
-        ));
-    }
-    if !unfit.is_empty() {
-        notes.push(format!(
-            "skipped attributes of {} that have other lengths than its points: {}",
-            excerpt(&prim.path),
-            excerpts(&unfit)
-        ));
+    for (names, what) in
+        [(constant, "without a value per point"), (unfit, "that have other lengths than its points")]
+    {
+        if !names.is_empty() {
+            let names = excerpts(&names);
+            notes.push(format!("skipped attributes of {} {what}: {names}", excerpt(&prim.path)));
+        }
     }
     Ok(found)
 }
 
 const PRIMVARS: &str = "primvars:";
-
-/// Keeps each word of a table once.
-fn with_distinct_words(values: Values) -> Values {
-    let Values::Strings { table, .. } = values else { return values };
-    let mut places = std::collections::HashMap::new();
-    let mut words: Vec<String> = Vec::new();
-    let mut indices = Vec::with_capacity(table.len());
-    for word in table {
-        let next = i32::try_from(words.len()).unwrap_or(i32::MAX);
-        indices.push(*places.entry(word).or_insert_with_key(|word: &String| {
-            words.push(word.clone());
-            next
-        }));
-    }
-    Values::Strings { table: words, indices }
-}

@@ -70,9 +70,11 @@ const MOVED: &str = "double3 xformOp:translate = (10, 0, 0) token[] xformOpOrder
 #[test]
 fn layers_are_composed_by_strength() {
     let asset = format!(
-        "( defaultPrim = \"A\" ) def \"A\" {{ {} }} def \"B\" {{ {} }}",
+        "( defaultPrim = \"A\" ) def \"A\" {{ {} }} def \"B\" {{ {} }}
+        class \"C\" ( variants = {{ string v = \"b\" }} ) {{ {} }}",
         points("p", 1.0),
-        points("p", 2.0)
+        points("p", 2.0),
+        points("p", 5.0)
     );
     let asset = asset.as_str();
     for (root, expected) in [
@@ -102,6 +104,13 @@ fn layers_are_composed_by_strength() {
             vec![2.0],
         ),
         ("def \"R\" ( references = @dir/b.usda@ ) {}", vec![1.0]),
+        // The reference selects the variant, and is weaker than it.
+        (
+            "def \"R\" ( prepend variantSets = \"v\" references = @a.usda@</C> ) { variantSet \"v\" = {
+            \"a\" { over \"p\" { point3f[] points = [(3, 0, 0)] } }
+            \"b\" { over \"p\" { point3f[] points = [(4, 0, 0)] } } } }",
+            vec![4.0],
+        ),
     ] {
         let further = "( defaultPrim = \"X\" ) def \"X\" ( references = @../a.usda@ ) {}";
         assert_eq!(
@@ -111,7 +120,7 @@ fn layers_are_composed_by_strength() {
         );
     }
     let (_, notes) = line(&[("r.usda", "( subLayers = [@a.usda@] )"), ("a.usda", asset)]);
-    assert!(notes.contains("the points of 2 prims are one frame"), "{notes}");
+    assert!(notes.contains("joined the particles of 2 prims"), "{notes}");
 }
 
 #[test]

@@ -24,8 +24,8 @@ use crate::number::NumberType;
 use crate::text::excerpt;
 use crate::usd::FORMAT;
 use crate::usd::layer::{
-    ArrayElement, ArrayPlace, Layer, LayerArc, LayerNode, LayerSource, ListEdits, NODE_BYTES, SampleValues,
-    TimeSamples, Value, add_node,
+    ArrayElement, ArrayPlace, Layer, LayerArc, LayerNode, LayerSource, ListEdits, NODE_BYTES, TimeSamples,
+    Value, add_node,
 };
 use crate::usd::package::{LayerBytes, LimitedBytes};
 
@@ -156,17 +156,18 @@ impl<'t, 'a> WindowedText<'t, 'a> {
     }
 
     fn expect(&mut self, byte: u8) -> Result<()> {
-        match self.ahead()? {
-            Some(found) if found == byte => {
-                self.bump();
-                Ok(())
-            }
-            Some(found) => Err(self.invalid(format!(
-                "expected `{}`, found `{}`",
-                byte.escape_ascii(),
-                found.escape_ascii()
-            ))),
-            None => Err(self.ended()),
+        if self.takes(byte)? {
+            return Ok(());
+        }
+        Err(self.unexpected(&format!("`{}`", byte.escape_ascii())))
+    }
+
+    /// The error for the next byte, or for the end.
+    fn unexpected(&mut self, expected: &str) -> Error {
+        match self.peek() {
+            Ok(Some(found)) => self.invalid(format!("expected {expected}, found `{}`", found.escape_ascii())),
+            Ok(None) => self.ended(),
+            Err(error) => error,
         }
     }
 
@@ -200,29 +201,25 @@ impl<'t, 'a> WindowedText<'t, 'a> {
         let word =
             self.take_while(|byte| byte.is_ascii_alphanumeric() || byte >= 0x80 || b"_:|".contains(&byte))?;
         if word.is_empty() {
-            return Err(match self.peek()? {
-                Some(byte) => self.invalid(format!("expected a word, found `{}`", byte.escape_ascii())),
-                None => self.ended(),
-            });
+            return Err(self.unexpected("a word"));
         }
         Ok(word)
     }
 
     fn number(&mut self) -> Result<f64> {
         let word = self.take_while(|byte| byte.is_ascii_alphanumeric() || b"+-._".contains(&byte))?;
-        if word.is_empty() && self.peek()?.is_none() {
-            return Err(self.ended());
+        if word.is_empty() {
+            return Err(self.unexpected("a number"));
         }
         parsed(&word).ok_or_else(|| self.invalid(format!("expected a number, found `{}`", excerpt(&word))))
     }
 
     /// A string in single, double or triple quotes, the path of a file, or a path in angle brackets.
     fn quoted(&mut self) -> Result<String> {
-        let open = self.ahead()?.ok_or_else(|| self.ended())?;
-        let close = match open {
-            b'"' | b'\'' | b'@' => open,
-            b'<' => b'>',
-            _ => return Err(self.invalid(format!("expected a string, found `{}`", open.escape_ascii()))),
+        let (open, close) = match self.ahead()? {
+            Some(open @ (b'"' | b'\'' | b'@')) => (open, open),
+            Some(b'<') => (b'<', b'>'),
+            _ => return Err(self.unexpected("a string")),
         };
         self.bump();
         let is_triple = open != b'<' && self.peek()? == Some(open) && self.peek_at(1)? == Some(open);
@@ -407,13 +404,10 @@ impl UsdaParser<'_, '_> {
             self.text.expect(b']')?;
         }
         let name = self.text.word()?;
-        let mut suffix = String::new();
-        if self.text.takes(b'.')? {
-            suffix = self.text.word()?;
-        }
+        let suffix = if self.text.takes(b'.')? { self.text.word()? } else { String::new() };
         let node = self.add(parent, &name)?;
         self.nodes[node].is_attribute = kind != "rel";
-        let element = element_type(&kind).filter(|_| is_array);
+        let element = ArrayElement::named(&kind).filter(|_| is_array);
         let shown = if is_array { kind + "[]" } else { kind };
         self.set(node, "typeName", Value::Word(shown));
         if self.text.takes(b'=')? {
@@ -467,7 +461,7 @@ impl UsdaParser<'_, '_> {
         }
         samples.sort_by(|(a, _), (b, _)| a.total_cmp(b));
         let (codes, values) = samples.into_iter().unzip();
-        Ok(TimeSamples { codes, values: SampleValues::Text(values) })
+        Ok(TimeSamples { codes, values })
     }
 
     /// The fields in parentheses, if there are some.
@@ -652,46 +646,6 @@ fn with_edit<T>(mut edits: ListEdits<T>, edit: Option<&str>, items: Vec<T>) -> L
     edits
 }
 
-/// The elements of an array of this type, such as `point3f`.
-fn element_type(kind: &str) -> Option<ArrayElement> {
-    use NumberType::{Bool, F16, F32, F64, I32, I64, U8, U32, U64};
-    let (number, arity) = match kind {
-        "string" | "token" | "asset" => return Some(ArrayElement::Words),
-        "bool" => (Bool, 1),
-        "uchar" => (U8, 1),
-        "int" => (I32, 1),
-        "uint" => (U32, 1),
-        "int64" => (I64, 1),
-        "uint64" => (U64, 1),
-        "half" => (F16, 1),
-        "float" => (F32, 1),
-        "double" | "timecode" => (F64, 1),
-        "quath" => (F16, 4),
-        "quatf" => (F32, 4),
-        "quatd" | "matrix2d" => (F64, 4),
-        "matrix3d" => (F64, 9),
-        "matrix4d" | "frame4d" => (F64, 16),
-        // `float3` or, with a role, `point3f`
-        _ => {
-            let (stem, rest) = kind.split_at(kind.find(|c: char| c.is_ascii_digit())?);
-            let arity = ["2", "3", "4"].iter().position(|digit| rest.starts_with(digit))? + 2;
-            let has_role = ["point", "normal", "vector", "color", "texCoord"].contains(&stem);
-            let number = match (stem, &rest[1..]) {
-                ("int", "") => I32,
-                ("half", "") => F16,
-                ("float", "") => F32,
-                ("double", "") => F64,
-                (_, "h") if has_role => F16,
-                (_, "f") if has_role => F32,
-                (_, "d") if has_role => F64,
-                _ => return None,
-            };
-            (number, arity)
-        }
-    };
-    Some(ArrayElement::Numbers(number, arity))
-}
-
 /// Reads the array in these bytes, which start at a line: the number of values per element, and all values.
 pub(crate) fn read_array(
     file: &LimitedBytes,
@@ -751,28 +705,27 @@ fn elements(
     let (mut depth, mut found) = (0, 0);
     text.expect(b'[')?;
     loop {
-        match text.ahead()?.ok_or_else(|| text.ended())? {
-            b',' => text.bump(),
-            b'(' if depth < 2 && arity > 1 => {
-                text.bump();
-                depth += 1;
-            }
+        let byte = text.ahead()?.ok_or_else(|| text.ended())?;
+        match byte {
+            b',' => {}
+            b'(' if depth < 2 && arity > 1 => depth += 1,
             b')' if depth > 0 => {
-                text.bump();
                 depth -= 1;
                 if depth == 0 && std::mem::take(&mut found) != arity {
                     return Err(text.invalid(format!("expected {arity} numbers in parentheses")));
                 }
             }
-            b']' if depth == 0 => {
-                text.bump();
-                return Ok(());
-            }
+            b']' if depth == 0 => {}
             _ if depth == 0 && arity > 1 => return Err(text.invalid("expected `(`")),
             _ => {
                 value(text)?;
                 found += 1;
+                continue;
             }
+        }
+        text.bump();
+        if byte == b']' {
+            return Ok(());
         }
     }
 }

@@ -201,10 +201,8 @@ pub fn is_layer(head: &[u8]) -> bool {
 pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
     let bytes = bytes.into();
     let byte_count = bytes.len();
-    let layer = UsdcLayer::read(&bytes, limits)?;
-    layer.check_single_frame()?;
-    let frame = layer.placed_frame(0)?;
-    let (up, provenance) = (layer.up()?, read_provenance(&bytes)?);
+    let provenance = read_provenance(&bytes)?;
+    let (frame, up) = UsdcLayer::read(&bytes, limits)?.only_frame()?;
     drop(bytes);
     let attributes = as_before(frame.attributes);
     PlacedMesh { attributes, ..frame }.to_glb(up, &provenance, byte_count)

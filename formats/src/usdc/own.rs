@@ -1,20 +1,20 @@
 //! Reads the meshes of a file that this crate wrote, with their attributes, and what its tables declare.
 
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, Read, Seek};
 use std::rc::Rc;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
-use super::tables::MAGIC;
-use crate::batches::ReadAt;
+use super::tables::check_magic;
+use crate::batches::{ReadAt, SeekFile};
 use crate::columns::role_of;
 use crate::data::{FileAttribute, MeshData, Values, world};
-use crate::error::{Error, Position, Result};
+use crate::error::{Error, Result};
 use crate::gltf::PlacedMesh;
 use crate::limits::Limits;
 use crate::named_arrays::NamedArray;
 use crate::options::UpAxis;
 use crate::usd::composed::{ComposedStage, StagePrim};
-use crate::usd::layer::{Layer, LayerSource, Value, unexpected};
+use crate::usd::layer::{Layer, Value, unexpected};
 use crate::usd::mesh::{PrimMesh, mesh_prims};
 use crate::usd::package::LayerBytes;
 use crate::usd::points::attributes;
@@ -45,13 +45,11 @@ impl<'a> UsdcLayer<'a> {
     /// [`Error::Truncated`] if the file is truncated; [`Error::Unsupported`] if another program wrote it;
     /// [`Error::Invalid`] if it is damaged; [`Error::TooLarge`] if it exceeds the limits.
     pub fn read(bytes: &'a [u8], limits: &Limits) -> Result<UsdcLayer<'a>> {
-        UsdcLayer::of_file(LayerBytes::of_slice(bytes), limits)
+        UsdcLayer::of_file(LayerBytes::new(Rc::new(bytes))?, limits)
     }
 
     fn of_file(bytes: LayerBytes<'a>, limits: &Limits) -> Result<UsdcLayer<'a>> {
-        if !bytes.head::<8>()?.starts_with(MAGIC) {
-            return Err(Error::invalid(FORMAT, Position::Offset(0), "expected PXR-USDC"));
-        }
+        check_magic(&bytes.head::<8>()?)?;
         let stage = ComposedStage::of_file(bytes, &no_other_file, limits)?;
         let info = stage.root_layer(layer_info)?;
         let meshes = mesh_prims(&stage)?;
@@ -74,21 +72,17 @@ impl<'a> UsdcLayer<'a> {
         self.info
     }
 
-    /// Fails if the file is a sequence.
-    pub(super) fn check_single_frame(&self) -> Result<()> {
-        match self.codes {
-            Some(_) => Err(Error::unsupported(FORMAT, "this file is a sequence: use the file of one frame")),
-            None => Ok(()),
+    /// The frame of a file that is not a sequence, as it is stored, and the axis that points up.
+    pub(super) fn only_frame(&self) -> Result<(PlacedMesh, UpAxis)> {
+        if self.codes.is_some() {
+            return Err(Error::unsupported(FORMAT, "this file is a sequence: use the file of one frame"));
         }
-    }
-
-    /// The axis of the points that points up.
-    pub(super) fn up(&self) -> Result<UpAxis> {
-        match self.stage.root_layer(|layer| layer.word(0, "upAxis"))?.as_deref() {
-            Some("Y") => Ok(UpAxis::Y),
-            Some("Z") => Ok(UpAxis::Z),
-            _ => Err(unexpected("upAxis")),
-        }
+        let up = match self.stage.root_layer(|layer| layer.word(0, "upAxis"))?.as_deref() {
+            Some("Y") => UpAxis::Y,
+            Some("Z") => UpAxis::Z,
+            _ => return Err(unexpected("upAxis")),
+        };
+        Ok((self.placed_frame(0)?, up))
     }
 
     /// The time codes of the frames; `None` for a file without time samples.
@@ -117,7 +111,7 @@ impl<'a> UsdcLayer<'a> {
     }
 
     /// Reads a frame as it is stored.
-    pub(super) fn placed_frame(&self, index: usize) -> Result<PlacedMesh> {
+    fn placed_frame(&self, index: usize) -> Result<PlacedMesh> {
         self.stage.start_anew();
         let time = match &self.codes {
             None if index == 0 => None,
@@ -151,18 +145,14 @@ fn no_other_file(path: &str) -> io::Result<Box<dyn ReadAt>> {
 }
 
 fn layer_info(layer: &Layer) -> Result<LayerInfo> {
-    let entries = |value: Option<Value>| match value {
-        Some(Value::Dictionary(entries)) => entries,
-        _ => Vec::new(),
-    };
-    let entry = |entries: &[(String, Value)], name: &str| {
-        let found = entries.iter().find(|(key, _)| key == name).map(|(_, value)| value);
-        match (found, &layer.source) {
-            (Some(value), LayerSource::Binary(file)) => file.entry(value, name).map(Some),
-            (found, _) => Ok(found.cloned()),
+    let entry = |dictionary: &Option<Value>, name: &str| match dictionary {
+        Some(Value::Dictionary(entries)) => {
+            let found = entries.iter().find(|(key, _)| key == name);
+            found.map(|(_, value)| layer.resolved(value, name)).transpose()
         }
+        _ => Ok(None),
     };
-    let counts = entries(entry(&entries(layer.field(0, "customLayerData")?), "meniscus_mesh")?);
+    let counts = entry(&layer.field(0, "customLayerData")?, "meniscus_mesh")?;
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a count")]
     let number = |name: &str| -> Result<Option<u64>> {
         Ok(entry(&counts, name)?.and_then(|value| value.number()).map(|number| number as u64))
@@ -186,7 +176,7 @@ pub fn read_sampled_properties(
     limits: &Limits,
 ) -> Result<Vec<SampledProperty>> {
     let file = SeekFile(Mutex::new(file));
-    let layer = super::read_layer(LayerBytes::first(&file)?, limits)?;
+    let layer = super::read_layer(LayerBytes::new(Rc::new(&file))?, limits)?;
     let mut found = Vec::new();
     for (index, node) in layer.nodes.iter().enumerate().filter(|(_, node)| node.is_attribute) {
         if layer.field(index, "timeSamples")?.is_some() {
@@ -208,21 +198,6 @@ pub fn read_layer_info(
     limits: &Limits,
 ) -> Result<(LayerInfo, Vec<String>)> {
     let file = SeekFile(Mutex::new(file));
-    let layer = UsdcLayer::of_file(LayerBytes::first(&file)?, limits)?;
+    let layer = UsdcLayer::of_file(LayerBytes::new(Rc::new(&file))?, limits)?;
     Ok((layer.info(), layer.attribute_names()?))
-}
-
-/// A file with a position, read at any offset.
-struct SeekFile<F>(Mutex<F>);
-
-impl<F: Read + Seek + Send> ReadAt for SeekFile<F> {
-    fn size_bytes(&self) -> io::Result<u64> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).seek(SeekFrom::End(0))
-    }
-
-    fn read_exact_at(&self, out: &mut [u8], offset: u64) -> io::Result<()> {
-        let mut file = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        file.seek(SeekFrom::Start(offset))?;
-        file.read_exact(out)
-    }
 }

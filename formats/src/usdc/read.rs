@@ -18,7 +18,7 @@ use crate::number::{NumberType, append_bytes, gathered};
 use crate::usd::FORMAT;
 use crate::usd::layer::{
     ArrayElement, ArrayPlace, Layer, LayerArc, LayerNode, LayerSource, ListEdits, NODE_BYTES, NodeFields,
-    SampleValues, TimeSamples, Value, add_node, unexpected, wide,
+    TimeSamples, Value, add_node, unexpected, wide,
 };
 use crate::usd::package::{LayerBytes, LimitedBytes};
 
@@ -189,7 +189,7 @@ impl<'a> CrateFile<'a> {
         }
         match &nodes[0].fields {
             NodeFields::Set(_) => Ok(nodes),
-            NodeFields::List(_) => Err(Error::invalid(FORMAT, Position::File, "the layer has no root")),
+            NodeFields::Map(_) => Err(Error::invalid(FORMAT, Position::File, "the layer has no root")),
         }
     }
 
@@ -260,14 +260,10 @@ impl<'a> CrateFile<'a> {
             return Ok(Value::Unread("an edit of an array"));
         }
         if rep.is_array() {
-            let is_read = element_type(code).is_some();
-            return Ok(if is_read {
-                Value::Array(ArrayPlace::Binary(rep.0))
-            } else {
-                Value::Unread("an array")
-            });
+            let array = ArrayElement::of_code(code).map(|_| Value::Array(ArrayPlace::Binary(rep.0)));
+            return Ok(array.unwrap_or(Value::Unread("an array")));
         }
-        if let Some(ArrayElement::Numbers(number, arity)) = element_type(code) {
+        if let Some(ArrayElement::Numbers(number, arity)) = ArrayElement::of_code(code) {
             return self.numbers(rep, number, arity, what).map(Value::Numbers);
         }
         let inlined = u32::try_from(rep.payload()).unwrap_or(u32::MAX);
@@ -348,14 +344,6 @@ impl<'a> CrateFile<'a> {
         })
     }
 
-    /// The value of an entry of a dictionary.
-    pub(crate) fn entry(&self, entry: &Value, what: &str) -> Result<Value> {
-        match entry {
-            Value::Array(ArrayPlace::Binary(rep)) => self.value(*rep, what),
-            other => Ok(other.clone()),
-        }
-    }
-
     /// A reference, which has a dictionary, or a payload.
     fn arc(&self, cursor: &mut CrateCursor, is_reference: bool) -> Result<LayerArc> {
         let what = "a reference";
@@ -378,7 +366,8 @@ impl<'a> CrateFile<'a> {
         let at = cursor.clone();
         let count = cursor.count("time samples")?;
         let values = cursor.take_all(count, 8, "time samples")?;
-        let values: Vec<u64> = values.as_chunks().0.iter().map(|bytes| u64::from_le_bytes(*bytes)).collect();
+        self.source.claim(count, size_of::<Value>())?;
+        let stored = |bytes: &[u8; 8]| Value::Array(ArrayPlace::Binary(u64::from_le_bytes(*bytes)));
         if (times.type_code(), times.is_inlined()) != (ValueType::DoubleVector as u8, false) {
             return Err(at.invalid(format!("the times of {what} are not numbers")));
         }
@@ -391,14 +380,15 @@ impl<'a> CrateFile<'a> {
         if !codes.is_sorted_by(|a, b| a < b) {
             return Err(at.invalid(format!("the times of {what} do not increase")));
         }
-        Ok(TimeSamples { codes, values: SampleValues::Binary(values) })
+        Ok(TimeSamples { codes, values: values.as_chunks().0.iter().map(stored).collect() })
     }
 
     /// The number of values per element of an array, and all values.
     pub(crate) fn array(&self, rep: u64, what: &str) -> Result<(usize, Values)> {
         let rep = ValueRep(rep);
-        let kind =
-            element_type(rep.type_code()).filter(|_| rep.is_array()).ok_or_else(|| unexpected(what))?;
+        let kind = ArrayElement::of_code(rep.type_code())
+            .filter(|_| rep.is_array())
+            .ok_or_else(|| unexpected(what))?;
         let mut cursor = self.at(rep.payload())?;
         let count = match rep.payload() {
             0 => 0,
@@ -471,35 +461,6 @@ fn compressed(cursor: &mut CrateCursor, number: NumberType, count: usize, what: 
     };
     let values = gathered(&table, 1, &indices);
     values.ok_or_else(|| at.invalid(format!("an index of {what} is beyond the end of its table")))
-}
-
-/// The elements of values with this type; `None` if they are neither numbers nor words.
-fn element_type(code: u8) -> Option<ArrayElement> {
-    use NumberType::{Bool, F16, F32, F64, I32, I64, U8, U32, U64};
-    let (number, arity) = match code {
-        1 => (Bool, 1),
-        2 => (U8, 1),
-        3 | 42..=44 => (I32, 1), // also specifiers, permissions and variabilities
-        4 => (U32, 1),
-        5 => (I64, 1),
-        6 => (U64, 1),
-        7 => (F16, 1),
-        8 => (F32, 1),
-        9 | 56 => (F64, 1), // also time codes
-        10..=12 => return Some(ArrayElement::Words),
-        13 => (F64, 4), // matrices
-        14 => (F64, 9),
-        15 => (F64, 16),
-        16 => (F64, 4), // quaternions
-        17 => (F32, 4),
-        18 => (F16, 4),
-        19..=30 => {
-            let number = [F64, F32, F16, I32][usize::from(code - 19) % 4];
-            (number, 2 + usize::from(code - 19) / 4)
-        }
-        _ => return None,
-    };
-    Some(ArrayElement::Numbers(number, arity))
 }
 
 /// Moves the real part of a quaternion, which is the last number in the file, to the front, as in the text form.
@@ -600,12 +561,7 @@ impl CrateCursor<'_, '_> {
 
     fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N]> {
         let mut array = [0; N];
-        if self.source.length() - self.at < N as u64 {
-            let what = format!("expected {N} bytes of {what}, found the end");
-            return Err(Error::truncated(FORMAT, Position::Offset(self.at), what));
-        }
-        self.source.read(&mut array, self.at)?;
-        self.at += N as u64;
+        array.copy_from_slice(&self.take(N as u64, what)?);
         Ok(array)
     }
 

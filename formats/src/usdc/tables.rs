@@ -368,11 +368,8 @@ pub(super) fn read_contents(table: &[u8], at: u64) -> Result<[(u64, u64); SECTIO
         let (name, range) = entry.split_at(NAME_BYTES);
         let name = name.split(|&byte| byte == 0).next().unwrap_or_default();
         let Some(index) = SECTIONS.iter().position(|section| section.as_bytes() == name) else { continue };
-        let [start, size] = [0, 8].map(|at| {
-            let mut number = [0; 8];
-            number.copy_from_slice(&range[at..at + 8]);
-            u64::from_le_bytes(number)
-        });
+        let &[start, size] = range.as_chunks().0 else { continue };
+        let [start, size] = [start, size].map(u64::from_le_bytes);
         if start < BOOTSTRAP_BYTES as u64 || start.checked_add(size).is_none_or(|end| end > at) {
             let what = format!(
                 "section {} has {size} bytes from {start}; expected it between the bootstrap and this table",
@@ -382,13 +379,12 @@ pub(super) fn read_contents(table: &[u8], at: u64) -> Result<[(u64, u64); SECTIO
         }
         found[index] = Some((start, size));
     }
-    let mut sections = [(0, 0); SECTIONS.len()];
-    for (index, found) in found.into_iter().enumerate() {
-        let missing =
-            || Error::invalid(FORMAT, position, format!("the section {} is missing", SECTIONS[index]));
-        sections[index] = found.ok_or_else(missing)?;
+    match found.iter().position(Option::is_none) {
+        Some(index) => {
+            Err(Error::invalid(FORMAT, position, format!("the section {} is missing", SECTIONS[index])))
+        }
+        None => Ok(found.map(Option::unwrap_or_default)),
     }
-    Ok(sections)
 }
 
 /// The size that a file of our writer has when it is complete: it ends with its table of contents. `None` if

@@ -15,7 +15,7 @@
 //! This work is based on:
 //! the headers of OpenVDB 10, <https://www.openvdb.org>
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 
 use super::read::{GridEntry, entries, tree_cursor};
 use super::read_tree::{TreeBudget, ValueStorage, outline_of_tree};
@@ -60,11 +60,7 @@ pub fn read_points(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         let names = others.iter().take(8).map(|entry| &entry.info.name);
         notes.push(format!("skipped grids that are not points: {}", excerpts(names)));
     }
-    let mut seen = HashSet::new();
-    notes.retain(|note| seen.insert(note.clone()));
-    let mut frame = frame_of_parts(parts, "grids of points");
-    frame.notes.splice(0..0, notes);
-    Ok(frame)
+    Ok(frame_of_parts(parts, "grids of points", notes))
 }
 
 /// What the points of all grids need so far.
@@ -151,12 +147,6 @@ impl PointCodec {
     fn of(value: &str, codec: &str) -> Option<PointCodec> {
         let (number, arity) = match value {
             "bool" => (NumberType::Bool, 1),
-            "int8" => (NumberType::I8, 1),
-            "int16" => (NumberType::I16, 1),
-            "int32" => (NumberType::I32, 1),
-            "int64" => (NumberType::I64, 1),
-            "uint8" => (NumberType::U8, 1),
-            "uint32" => (NumberType::U32, 1),
             "half" => (NumberType::F16, 1),
             "float" => (NumberType::F32, 1),
             "double" => (NumberType::F64, 1),
@@ -170,7 +160,7 @@ impl PointCodec {
             "mat3d" => (NumberType::F64, 9),
             "mat4s" => (NumberType::F32, 16),
             "mat4d" => (NumberType::F64, 16),
-            _ => return None,
+            _ => (NumberType::named(value)?, 1),
         };
         let is_real = matches!(number, NumberType::F32 | NumberType::F64);
         match codec {

@@ -342,7 +342,7 @@ impl DataArray<'_> {
 
 /// Parses the first `count` words as values of the type that [`NumberType::decode`] returns. The error is the
 /// beginning of the first invalid word.
-pub(super) fn decimals<'a>(
+pub(crate) fn decimals<'a>(
     words: impl Iterator<Item = &'a [u8]>,
     number: NumberType,
     count: usize,

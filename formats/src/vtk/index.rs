@@ -13,11 +13,9 @@
 
 use std::collections::{HashMap, HashSet};
 
-use quick_xml::Reader;
-use quick_xml::events::Event;
 use serde::Deserialize;
 
-use super::xml::{attribute, check_end, neighbor, neighbor_of_type, utf8};
+use super::xml::{neighbor, neighbor_of_type, utf8};
 use super::{INDEX, POLYGONS_NOTE, joined, legacy, xml};
 use crate::batches::read as read_bytes;
 use crate::container::{ContainerFile, ContainerReader, Sample, folder_of, further_path};
@@ -30,6 +28,7 @@ use crate::probe::{ProbedKind, probe};
 use crate::read_particles;
 use crate::table::Format;
 use crate::text::excerpt;
+use crate::xml::{XmlEvent, attribute, check_end, parse};
 
 /// The reader of the frames.
 pub(super) const READER: ContainerReader = ContainerReader {
@@ -126,23 +125,15 @@ fn listed_in_series(text: &[u8]) -> Result<Vec<Listed>> {
 }
 
 fn listed_in_xml(text: &[u8]) -> Result<Vec<Listed>> {
-    check_end(INDEX, text)?;
-    let mut reader = Reader::from_str(utf8(INDEX, text)?);
-    reader.config_mut().check_end_names = false;
+    check_end(INDEX, text, "</VTKFile>")?;
     let malformed = |at, what: String| Error::invalid(INDEX, Position::Offset(at), what);
     let (mut has_root, mut has_times) = (false, false);
     let mut listed = Vec::new();
-    loop {
-        let at = reader.buffer_position();
-        let event = reader.read_event();
-        let tag = match event.map_err(|error| malformed(reader.error_position(), error.to_string()))? {
-            Event::Start(tag) | Event::Empty(tag) => tag,
-            Event::Eof if has_root => return Ok(listed),
-            Event::Eof => return Err(malformed(at, "expected <VTKFile>".to_owned())),
-            _ => continue,
-        };
-        let stated = |name| attribute(&tag, name, at).map_err(|error| error.with_format(INDEX));
-        match tag.local_name().as_ref() {
+    parse(INDEX, utf8(INDEX, text)?, |event, range| {
+        let XmlEvent::Start(name, tag) = event else { return Ok(()) };
+        let at = range.start;
+        let stated = |name| attribute(INDEX, tag, name, at);
+        match name {
             "VTKFile" => {
                 let kind = stated("type")?.unwrap_or_default();
                 if neighbor_of_type(&kind) != Some(Neighbor::Index) {
@@ -152,9 +143,9 @@ fn listed_in_xml(text: &[u8]) -> Result<Vec<Listed>> {
                 (has_root, has_times) = (true, kind == "Collection");
             }
             // Blocks and pieces without files are empty.
-            name @ ("DataSet" | "Piece") if has_root => {
+            "DataSet" | "Piece" if has_root => {
                 let file = stated(if name == "Piece" { "Source" } else { "file" })?;
-                let Some(file) = file.filter(|file| !file.is_empty()) else { continue };
+                let Some(file) = file.filter(|file| !file.is_empty()) else { return Ok(()) };
                 let time = if has_times { stated("timestep")? } else { None };
                 let time = time.map(|text| match text.trim().parse() {
                     Ok(time) if f64::is_finite(time) => Ok(time),
@@ -164,7 +155,9 @@ fn listed_in_xml(text: &[u8]) -> Result<Vec<Listed>> {
             }
             _ => {}
         }
-    }
+        Ok(())
+    })?;
+    if has_root { Ok(listed) } else { Err(malformed(text.len() as u64, "expected <VTKFile>".to_owned())) }
 }
 
 // Reads the files of a frame.

@@ -15,9 +15,10 @@ mod xml;
 use quick_xml::Reader;
 use quick_xml::events::Event;
 
+pub(crate) use blocks::decimals;
 pub use legacy::{read as read_legacy, read_mesh as read_legacy_mesh};
 pub use write::{attribute_notes, particle_notes, write_mesh, write_particles};
-pub(crate) use xml::{attribute, neighbor as xml_neighbor};
+pub(crate) use xml::neighbor as xml_neighbor;
 pub use xml::{holds_polys, read as read_xml, read_mesh};
 
 use crate::batches::ReadAt;

@@ -14,8 +14,6 @@
 //!
 //! The parser gets only the text before the appended data. A file is complete if it ends with the last tag.
 
-use std::borrow::Cow;
-
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 
@@ -32,6 +30,7 @@ use crate::named_arrays::{NamedArray, ParticlePart};
 use crate::neighbor::Neighbor;
 use crate::number::NumberType;
 use crate::text::excerpt;
+use crate::xml::{self, XmlEvent};
 
 /// Reads the points of all pieces.
 ///
@@ -75,21 +74,12 @@ fn open<'a>(
     bytes: &'a [u8],
     limits: &'a Limits,
 ) -> Result<(ArrayDecoder<'a>, Vec<Described<'a>>, Vec<String>)> {
-    check_end(XML, bytes)?;
+    xml::check_end(XML, bytes, "</VTKFile>")?;
     let (text, appended) = split_appended(bytes)?;
     let text = utf8(XML, text)?;
     let document = document(text, limits)?;
     let decoder = ArrayDecoder::new(document.encoding, appended, bytes.len() as u64, limits);
     Ok((decoder, document.pieces, document.notes))
-}
-
-/// Requires the last tag.
-pub(super) fn check_end(format: &'static str, bytes: &[u8]) -> Result<()> {
-    if bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
-        return Ok(());
-    }
-    let position = Position::Offset(bytes.len() as u64);
-    Err(Error::truncated(format, position, "the file ends without </VTKFile>"))
 }
 
 pub(super) fn utf8<'a>(format: &'static str, text: &'a [u8]) -> Result<&'a str> {
@@ -171,54 +161,41 @@ impl PieceSection {
 }
 
 fn document<'a>(text: &'a str, limits: &Limits) -> Result<XmlDocument<'a>> {
-    let mut reader = Reader::from_str(text);
-    // To check the names of end tags, the parser would store the names of all open elements.
-    reader.config_mut().check_end_names = false;
     let mut document: Option<XmlDocument<'a>> = None;
     let mut section = None;
     let mut is_in_array = false;
-    loop {
-        let at = reader.buffer_position();
-        let event =
-            reader.read_event().map_err(|error| malformed(reader.error_position(), error.to_string()))?;
-        let is_empty = matches!(event, Event::Empty(_));
+    xml::parse(XML, text, |event, range| {
+        let at = range.start;
         match event {
-            Event::Start(tag) | Event::Empty(tag) => {
-                match (tag.local_name().as_ref(), &mut document, section) {
-                    ("VTKFile", ..) => document = Some(opened(&tag, at)?),
-                    (_, None, _) => return Err(malformed(at, "expected <VTKFile>")),
-                    ("Piece", Some(document), _) if document.pieces.len() >= PART_COUNT_MAX => {
-                        let what = format!("the file has more than {PART_COUNT_MAX} pieces, the limit");
-                        return Err(Error::too_large(XML, what));
-                    }
-                    ("Piece", Some(document), _) => document.pieces.push(described(&tag, at, limits)?),
-                    ("DataArray", Some(document), Some(section)) => {
-                        take_array(&tag, at, section, document, limits)?;
-                        is_in_array = !is_empty;
-                    }
-                    (name, ..) if !is_empty => section = PieceSection::of(name).or(section),
-                    _ => {}
+            XmlEvent::Start(name, tag) => match (name, &mut document, section) {
+                ("VTKFile", ..) => document = Some(opened(tag, at)?),
+                (_, None, _) => return Err(malformed(at, "expected <VTKFile>")),
+                ("Piece", Some(document), _) if document.pieces.len() >= PART_COUNT_MAX => {
+                    let what = format!("the file has more than {PART_COUNT_MAX} pieces, the limit");
+                    return Err(Error::too_large(XML, what));
                 }
-            }
-            Event::Text(text) if is_in_array && section.is_some() => {
+                ("Piece", Some(document), _) => document.pieces.push(described(tag, at, limits)?),
+                ("DataArray", Some(document), Some(section)) => {
+                    take_array(tag, at, section, document, limits)?;
+                    is_in_array = true;
+                }
+                (name, ..) => section = PieceSection::of(name).or(section),
+            },
+            XmlEvent::Text(text) if is_in_array && section.is_some() => {
                 let pieces = document.iter_mut().flat_map(|document| document.pieces.last_mut());
-                let array = pieces.flat_map(|piece| piece.arrays.last_mut()).next();
-                if let (Some((_, array)), Cow::Borrowed(text)) = (array, text.into_inner())
+                if let Some((_, array)) = pieces.flat_map(|piece| piece.arrays.last_mut()).next()
                     && array.content.is_empty()
                     && !text.trim_ascii().is_empty()
                 {
                     (array.content, array.offset) = (text.as_bytes(), at);
                 }
             }
-            Event::End(tag) => match tag.local_name().as_ref() {
-                "DataArray" => is_in_array = false,
-                name if PieceSection::of(name).is_some() => section = None,
-                _ => {}
-            },
-            Event::Eof => break,
-            _ => {}
+            XmlEvent::End("DataArray") => is_in_array = false,
+            XmlEvent::End(name) if PieceSection::of(name).is_some() => section = None,
+            XmlEvent::End(_) | XmlEvent::Text(_) => {}
         }
-    }
+        Ok(())
+    })?;
     let document = document.ok_or_else(|| malformed(0, "expected <VTKFile>"))?;
     if document.pieces.is_empty() {
         Err(Error::invalid(XML, Position::File, "the file has no <Piece>"))
@@ -367,68 +344,30 @@ fn take_array<'a>(
 
 fn data_array<'a>(tag: &BytesStart, at: u64) -> Result<DataArray<'a>> {
     let name = attribute(tag, "Name", at)?.unwrap_or_default();
+    let invalid = |what: String| malformed(at, format!("the array `{}` has {what}", excerpt(&name)));
     let arity = match attribute(tag, "NumberOfComponents", at)? {
         None => 1,
-        Some(text) => text.trim().parse().map_err(|_| {
-            malformed(
-                at,
-                format!(
-                    "the array `{}` has \"{}\" components, which is not a number",
-                    excerpt(&name),
-                    excerpt(&text)
-                ),
-            )
-        })?,
+        Some(text) => {
+            let wrong = |_| invalid(format!("\"{}\" components, which is not a number", excerpt(&text)));
+            text.trim().parse().map_err(wrong)?
+        }
     };
     let form = match attribute(tag, "format", at)?.as_deref() {
         None | Some("ascii") => ArrayForm::Ascii,
         Some("binary") => ArrayForm::Binary,
         Some("appended") => {
             let offset = attribute(tag, "offset", at)?.unwrap_or_default();
-            ArrayForm::Appended(offset.trim().parse().map_err(|_| {
-                malformed(
-                    at,
-                    format!(
-                        "the array `{}` has the offset \"{}\", which is not a number",
-                        excerpt(&name),
-                        excerpt(&offset)
-                    ),
-                )
-            })?)
+            let wrong = |_| invalid(format!("the offset \"{}\", which is not a number", excerpt(&offset)));
+            ArrayForm::Appended(offset.trim().parse().map_err(wrong)?)
         }
-        Some(other) => {
-            return Err(malformed(
-                at,
-                format!("the array `{}` has the unknown format \"{}\"", excerpt(&name), excerpt(other)),
-            ));
-        }
+        Some(other) => return Err(invalid(format!("the unknown format \"{}\"", excerpt(other)))),
     };
-    let number = number_of(&attribute(tag, "type", at)?.unwrap_or_default());
+    let number = NumberType::named(&attribute(tag, "type", at)?.unwrap_or_default());
     Ok(DataArray { name, number, arity, form, content: &[], offset: at })
 }
 
-fn number_of(kind: &str) -> Option<NumberType> {
-    Some(match kind {
-        "Int8" => NumberType::I8,
-        "UInt8" => NumberType::U8,
-        "Int16" => NumberType::I16,
-        "UInt16" => NumberType::U16,
-        "Int32" => NumberType::I32,
-        "UInt32" => NumberType::U32,
-        "Int64" => NumberType::I64,
-        "UInt64" => NumberType::U64,
-        "Float32" => NumberType::F32,
-        "Float64" => NumberType::F64,
-        _ => return None,
-    })
-}
-
-/// The value of an attribute of a tag.
-pub(crate) fn attribute(tag: &BytesStart, name: &str, at: u64) -> Result<Option<String>> {
-    let wrong = |error: &dyn std::fmt::Display| malformed(at, format!("the attribute `{name}`: {error}"));
-    let Some(found) = tag.try_get_attribute(name).map_err(|error| wrong(&error))? else { return Ok(None) };
-    let value = quick_xml::escape::unescape(&found.value).map_err(|error| wrong(&error))?;
-    Ok(Some(value.into_owned()))
+fn attribute(tag: &BytesStart, name: &str, at: u64) -> Result<Option<String>> {
+    xml::attribute(XML, tag, name, at)
 }
 
 fn piece(described: &Described, decoder: &mut ArrayDecoder, notes: &mut Vec<String>) -> Result<ParticlePart> {

@@ -14,9 +14,8 @@ use twox_hash::XxHash3_128;
 use crate::surface::particles::{OwnedPositions, ParticleCloud, Shapes};
 
 use super::attributes::AttributeRequest;
-use super::container::is_container_file;
 use super::filter::{keep_chosen, several_kinds};
-use super::steps::{IndexPolicy, by_lines_of_file, file_of, read_only_frame, read_step, step_of};
+use super::steps::{IndexPolicy, by_lines_of_file, file_of, read_part};
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::{InputFile, read_unchanged};
 use crate::pipeline::files::open::{open_regular, read_regular};
@@ -40,13 +39,9 @@ pub struct ParsedParticles {
 /// When the system reports an error.
 pub fn read_file(path: &Path) -> Result<Vec<u8>, FrameError> {
     let fail = |error: meniscus_formats::Error| FrameError::file(path, Stage::Read, error);
-    let read = match step_of(path) {
-        None if is_container_file(path) => read_only_frame(path, IndexPolicy::OnRead),
-        None => {
-            refuse_large_foreign(path).map_err(fail)?;
-            return read_regular(path).map_err(|error| fail(error.into()));
-        }
-        Some((file, step)) => read_step(file, step, IndexPolicy::OnRead),
+    let Some(read) = read_part(path, IndexPolicy::OnRead) else {
+        refuse_large_foreign(path).map_err(fail)?;
+        return read_regular(path).map_err(|error| fail(error.into()));
     };
     match read.map_err(fail)? {
         Some((bytes, _)) => Ok(bytes),
@@ -63,14 +58,10 @@ pub(crate) fn read_frame_unchanged(
     path: &Path,
     index_policy: IndexPolicy,
 ) -> meniscus_formats::Result<Option<(Vec<u8>, FileStamp)>> {
-    match step_of(path) {
-        None if is_container_file(path) => read_only_frame(path, index_policy),
-        None => {
-            refuse_large_foreign(path)?;
-            Ok(read_unchanged(path)?)
-        }
-        Some((file, step)) => read_step(file, step, index_policy),
-    }
+    read_part(path, index_policy).unwrap_or_else(|| {
+        refuse_large_foreign(path)?;
+        Ok(read_unchanged(path)?)
+    })
 }
 
 /// Refuses a large file of an unknown format before all of it is read into memory.
@@ -145,12 +136,7 @@ pub fn hash_of_input(path: &Path) -> Result<u128, Error> {
 /// Like [`hash_of_input`], with the stamp of the file.
 pub(crate) fn hash_and_stamp(path: &Path, index_policy: IndexPolicy) -> Result<(u128, FileStamp), Error> {
     let changed = || io::Error::other("the file changed while it was read");
-    let read = match step_of(path) {
-        Some((file, step)) => Some(read_step(file, step, index_policy)?),
-        None if is_container_file(path) => Some(read_only_frame(path, index_policy)?),
-        None => None,
-    };
-    let Some(read) = read else {
+    let Some(read) = read_part(path, index_policy) else {
         let file = InputFile::open(path)?;
         if !file.is_regular() {
             return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file").into());
@@ -158,6 +144,6 @@ pub(crate) fn hash_and_stamp(path: &Path, index_policy: IndexPolicy) -> Result<(
         let hash = file.hash()?;
         return if file.is_unchanged()? { Ok((hash, file.stamp())) } else { Err(changed().into()) };
     };
-    let (bytes, stamp) = read.ok_or_else(changed)?;
+    let (bytes, stamp) = read?.ok_or_else(changed)?;
     Ok((XxHash3_128::oneshot(&bytes), stamp))
 }

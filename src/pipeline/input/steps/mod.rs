@@ -274,6 +274,14 @@ pub(crate) fn read_only_frame(file: &Path, by: IndexPolicy) -> Result<Option<(Ve
     read_sample(file, 0, &contents)
 }
 
+/// The bytes of a frame that is not a whole file, as of [`read_step`] or [`read_only_frame`]; `None` for one that is.
+pub(crate) fn read_part(frame: &Path, by: IndexPolicy) -> Option<Result<Option<(Vec<u8>, FileStamp)>>> {
+    match step_of(frame) {
+        Some((file, step)) => Some(read_step(file, step, by)),
+        None => is_container_file(frame).then(|| read_only_frame(frame, by)),
+    }
+}
+
 /// Like [`read_step`], of a container.
 fn read_sample(file: &Path, index: usize, contents: &StepIndex) -> Result<Option<(Vec<u8>, FileStamp)>> {
     let open = OpenContainer::open(file)?.filter(|open| open.stamp() == contents.stamp);
