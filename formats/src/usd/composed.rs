@@ -99,7 +99,7 @@ impl<'a> StrongestValue<'a> {
 
 /// The most sites of a stage beside some for each node of its layers, and the bytes of a path that count as one.
 const SITES_MAX: usize = 1 << 17;
-const SITES_PER_NODE: usize = 4;
+const SITES_PER_NODE: usize = 32;
 const PATH_BYTES: usize = 128;
 /// The deepest nesting of prims and of references, and the most layers.
 const PRIM_DEPTH_MAX: usize = 64;
