@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use crate::pipeline::{Job, OutputOptions, is_level_set, is_named_list};
+use super::selection::FileFilter;
+use crate::pipeline::{Job, OutputOptions, SniffedContent, content, is_level_set, is_named_list};
 use crate::surface::options::MethodOptions;
 
 /// The configuration of one run of the daemon.
@@ -67,12 +68,17 @@ impl Watch {
 }
 
 /// Whether the frames of a folder are level sets: only a pattern that ends in `.vdb` selects them, unless the first
-/// file that matches it has points. Otherwise they are skipped, because they may be outputs, of this daemon or of
-/// another program, which must not be converted again.
-pub fn names_level_sets(folder: &Path, pattern: Option<&str>) -> bool {
+/// frame that matches it has points. Otherwise they are skipped, because they may be outputs, of this daemon or of
+/// another program, which must not be converted again. `output` is the folder of the results.
+pub fn names_level_sets(folder: &Path, pattern: Option<&str>, output: &Path) -> bool {
     let Some(pattern) = pattern.filter(|pattern| is_level_set(Path::new(pattern))) else { return false };
+    let Ok(filter) = FileFilter::new(Some(pattern), vec![output.to_owned()]) else { return false };
+    let is_frame = |path: &PathBuf| {
+        filter.takes(folder, path) && !content(path).is_ok_and(|found| found == SniffedContent::OwnOutput)
+    };
     let all = format!("{}/{pattern}", glob::Pattern::escape(&folder.to_string_lossy()));
-    glob::glob(&all).into_iter().flatten().flatten().next().is_none_or(|first| is_level_set(&first))
+    let first = glob::glob(&all).into_iter().flatten().flatten().find(is_frame);
+    first.is_none_or(|first| is_level_set(&first))
 }
 
 /// Whether a pattern selects lists of files, such as `.pvd`: by its extension. Other patterns skip a list if each file

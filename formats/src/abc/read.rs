@@ -69,13 +69,15 @@ pub(super) const MESHES: SceneMeshReader = SceneMeshReader {
     read: |file, number, limits| {
         let scene = Scene::open(file.file, limits)?;
         let times = scene.times(GeometryKind::Mesh, limits)?;
-        mesh(&scene, number.map(|number| time_of(number, &times)).transpose()?.flatten(), limits)
+        // A frame of our sequences has two samples.
+        let is_own = own_metadata(&scene.archive.metadata).is_some();
+        mesh(&scene, number.map(|number| time_of(number, &times, is_own)).transpose()?.flatten(), limits)
     },
 };
 
 /// The time of the frame with a number, in seconds: that of the last sample at or before it, or else of the first;
 /// `None` if there is one sample, without a time.
-fn time_of(number: i64, times: &[f64]) -> Result<Option<f64>> {
+fn time_of(number: i64, times: &[f64], is_own: bool) -> Result<Option<f64>> {
     if times.len() < 2 {
         return Ok(None);
     }
@@ -86,7 +88,7 @@ fn time_of(number: i64, times: &[f64]) -> Result<Option<f64>> {
     };
     // The shortest step may be that from the last moment of a frame to the next frame.
     let is_held = |sample: &i64| [0, MOMENTS - 1].contains(&sample.rem_euclid(MOMENTS));
-    let sample = if samples.iter().all(is_held) { number.saturating_mul(MOMENTS) } else { number };
+    let sample = if is_own && samples.iter().all(is_held) { number.saturating_mul(MOMENTS) } else { number };
     let later = samples.partition_point(|known| *known <= sample);
     Ok(times.get(later.saturating_sub(1)).copied())
 }

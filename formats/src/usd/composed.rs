@@ -419,13 +419,17 @@ impl<'a> ComposedStage<'a> {
         for target in self.names(&site, "inheritPaths")? {
             self.follow(&site, &of_stack(target), found, path, depth)?;
         }
+        let mut with_weaker: Option<Vec<Site>> = None;
         for set in self.names(&site, "variantSetNames")? {
             let mut selected = self.selection(found, &set)?;
             if selected.is_none() {
                 // What the prim refers to is weaker than its variants, and can select one nevertheless.
-                let mut all = found.clone();
-                self.add_weaker(&site, &mut all, path, depth)?;
-                selected = self.selection(&all, &set)?;
+                if with_weaker.is_none() {
+                    let mut all = found.clone();
+                    self.add_weaker(&site, &mut all, path, depth)?;
+                    with_weaker = Some(all);
+                }
+                selected = self.selection(with_weaker.as_deref().unwrap_or_default(), &set)?;
             }
             if let Some(variant) = selected {
                 self.expand(self.child_site(&site, &format!("{{{set}={variant}}}")), found, path, depth + 1)?;
@@ -465,21 +469,31 @@ impl<'a> ComposedStage<'a> {
                 codes_per_second(&self.file(own).layer)? / codes_per_second(&self.file(further).layer)?;
             target = self.stack(further)?;
         }
-        let first = self.stacks.borrow()[target][0].0;
+        let root = self.stacks.borrow()[target][0].0;
         let prim = match arc.prim.as_str() {
-            "" => self.file(first).layer.word(0, "defaultPrim")?.unwrap_or_default(),
+            "" => self.file(root).layer.word(0, "defaultPrim")?.unwrap_or_default(),
             prim => prim.to_owned(),
         };
-        let mut sites = self.root(target);
-        for name in prim.split('/').filter(|name| !name.is_empty()) {
-            sites = self.child(&sites, name, path, depth + 1)?;
+        let first = found.len();
+        let names: Vec<&str> = prim.split('/').filter(|name| !name.is_empty()).collect();
+        if let Some((last, parents)) = names.split_last() {
+            let mut sites = self.root(target);
+            for name in parents {
+                sites = self.child(&sites, name, path, depth + 1)?;
+            }
+            // The sites that were found before are stronger, and can select its variants.
+            for site in &sites {
+                self.expand(self.child_site(site, last), found, path, depth + 1)?;
+            }
         }
-        if sites.is_empty() || prim.is_empty() {
+        if found.len() == first {
             let what =
                 format!("{} refers to the prim `{}`, which does not exist", excerpt(path), excerpt(&prim));
             return Err(Error::unsupported(FORMAT, what));
         }
-        found.extend(sites.into_iter().map(|site| Site { retime: combined(retime, site.retime), ..site }));
+        for site in &mut found[first..] {
+            site.retime = combined(retime, site.retime);
+        }
         Ok(())
     }
 

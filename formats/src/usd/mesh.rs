@@ -84,10 +84,11 @@ fn is_animated(stage: &ComposedStage) -> Result<bool> {
 /// Reads the mesh of a file without animation. `read_external` reads the files to which it refers.
 pub(crate) fn read_alone(bytes: &[u8], limits: &Limits, read_external: &ReadExternal) -> Result<MeshData> {
     let open: &OpenFurther = &|path| Ok(Box::new(Arc::<[u8]>::from(read_external(path)?)));
-    let stage = ComposedStage::of_file(LayerBytes::of_slice(bytes), open, limits)?;
+    let stage = ComposedStage::of_file(LayerBytes::new(Rc::new(bytes))?, open, limits)?;
     if is_animated(&stage)? {
         return Err(Error::unsupported(FORMAT, "this file is a sequence: use the file of one frame"));
     }
+    stage.start_anew();
     read_mesh(&stage, None, limits)
 }
 

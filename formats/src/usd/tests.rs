@@ -104,6 +104,14 @@ fn layers_are_composed_by_strength() {
             vec![2.0],
         ),
         ("def \"R\" ( references = @dir/b.usda@ ) {}", vec![1.0]),
+        // The prim that refers to it selects the variant, against its own selection.
+        (
+            "def \"R\" ( references = </V> variants = { string v = \"b\" } ) {}
+            class \"V\" ( variants = { string v = \"a\" } prepend variantSets = \"v\" ) { variantSet \"v\" = {
+            \"a\" { def Points \"p\" { point3f[] points = [(3, 0, 0)] } }
+            \"b\" { def Points \"p\" { point3f[] points = [(4, 0, 0)] } } } }",
+            vec![4.0],
+        ),
         // The reference selects the variant, and is weaker than it.
         (
             "def \"R\" ( prepend variantSets = \"v\" references = @a.usda@</C> ) { variantSet \"v\" = {

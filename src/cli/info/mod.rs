@@ -21,8 +21,8 @@ use meniscus_formats::{
 use serde::Serialize;
 
 use crate::pipeline::{
-    FrameError, USD_STAGE_FRAMES, file_of, frames_in, frames_in_unless, has_container_frames, is_absent,
-    measure_spacing, open_regular, read_file, read_regular, step_of, time_of_frame,
+    FrameError, MeshFile, USD_STAGE_FRAMES, file_of, frames_in, frames_in_unless, has_container_frames,
+    is_absent, measure_spacing, open_regular, read_file, read_regular, step_of, time_of_frame,
 };
 
 use crate::surface::options::SpacingOptions;
@@ -203,7 +203,7 @@ impl FileInfo {
         let limits = Limits::default();
         let is_surface = match kind.format() {
             _ if packed.is_some() => false,
-            Some(format) if codec.is_none() => self.fill_surface(format, bytes, &name, &limits)?,
+            Some(format) if codec.is_none() => self.fill_surface(path, format, bytes, &limits)?,
             Some(format) if has_only_mesh(format) => {
                 self.mesh = Some(MeshInfo::of(&read_mesh_alone(bytes, &name, &limits)?));
                 true
@@ -256,7 +256,8 @@ impl FileInfo {
 
     /// Describes a surface: grids, a mesh, a layer or a sequence of meshes. Returns false for files that are
     /// read as particles.
-    fn fill_surface(&mut self, format: Format, bytes: &[u8], name: &str, limits: &Limits) -> Result<bool> {
+    fn fill_surface(&mut self, path: &Path, format: Format, bytes: &[u8], limits: &Limits) -> Result<bool> {
+        let name = &*file_of(path).file_name().unwrap_or_default().to_string_lossy();
         match format {
             Format::Vdb => {
                 self.grids = Some(vdb::grids(bytes, limits)?.into_iter().map(GridRecord::from).collect());
@@ -269,8 +270,11 @@ impl FileInfo {
                 }
             },
             // Other programs write no summary.
-            Format::Usda | Format::Usdc if self.made_by.is_none() => {
-                self.mesh = Some(MeshInfo::of(&read_mesh_alone(bytes, name, limits)?));
+            Format::Usda | Format::Usdc | Format::Usdz | Format::Abc if self.made_by.is_none() => {
+                match MeshFile::read(path) {
+                    Ok(mesh) => self.mesh = Some(MeshInfo::of(&mesh.data)),
+                    Err(error) => self.notes.push(reason(&error).to_string()),
+                }
             }
             Format::Usda => match usda::read_layer_info(bytes)? {
                 Some(info @ usda::LayerInfo { frames: Some(frames), .. }) => {
@@ -279,10 +283,7 @@ impl FileInfo {
                 Some(usda::LayerInfo { vertices, faces, frames: None }) => {
                     self.layer = Some(LayerRecord { vertices, faces });
                 }
-                None => self.notes.push(match &self.made_by {
-                    Some(made_by) => stage_note(made_by, bytes),
-                    None => "USD files of other programs are not read".to_owned(),
-                }),
+                None => self.notes.extend(self.made_by.iter().map(|made_by| stage_note(made_by, bytes))),
             },
             Format::Usdc => {
                 let frame = usdc::UsdcLayer::read(bytes, limits)?.frame(0)?;

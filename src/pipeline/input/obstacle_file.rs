@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use glam::{DVec3, IVec3};
+use meniscus_formats::compression::name_without_compression;
 use meniscus_formats::vdb::LevelSetData;
 use meniscus_formats::{Error, MeshData, ObstacleData, gltf, read_obstacle};
 use twox_hash::XxHash3_128;
@@ -99,7 +100,7 @@ fn read_scene(
     if !is_animated && open.further_files().is_empty() {
         return Ok(None);
     }
-    let meshes = open.meshes(number).map_err(fail)?.ok_or_else(|| changed(path))?;
+    let meshes = open.meshes(number.filter(|_| is_animated)).map_err(fail)?.ok_or_else(|| changed(path))?;
     let further = open.further_files().into_iter().filter_map(|(path, stamp)| Some((path, stamp?)));
     let files = further.chain([(path.to_owned(), open.stamp())]).collect();
     let mut hasher = Hasher::new();
@@ -125,8 +126,9 @@ pub(super) fn further_files(path: &Path) -> Vec<PathBuf> {
 /// Whether an obstacle may name further files, judged by its name.
 pub(super) fn may_have_further_files(path: &Path) -> bool {
     let is_layer = |extension: &str| ["usd", "usda", "usdc"].contains(&extension);
-    let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
-    may_have_buffers(path) || extension.to_str().is_some_and(is_layer)
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    let extension = name_without_compression(&name).rsplit_once('.').map(|(_, extension)| extension);
+    may_have_buffers(path) || extension.is_some_and(is_layer)
 }
 
 /// An obstacle's buffer files.

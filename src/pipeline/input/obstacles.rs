@@ -206,7 +206,9 @@ impl ObstacleFiles {
             let obstacle = match content {
                 ObstacleContent::Loaded(obstacle) => obstacle,
                 // All its meshes may be hidden in this frame.
-                ObstacleContent::Read(ReadObstacle::Meshes(meshes)) if meshes.triangles.is_empty() => {
+                ObstacleContent::Read(ReadObstacle::Meshes(meshes))
+                    if source.is_animated && meshes.triangles.is_empty() =>
+                {
                     continue;
                 }
                 ObstacleContent::Read(read) => {

@@ -151,7 +151,8 @@ fn check_output(output: &Path) -> Result<()> {
 
 fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<String>) -> Result<Watch> {
     let choices = frames.method.to_options();
-    let has_level_sets = names_level_sets(input, frames.pattern.as_deref());
+    FileFilter::new(frames.pattern.as_deref(), Vec::new())?;
+    let has_level_sets = names_level_sets(&absolute(input)?, frames.pattern.as_deref(), &absolute(output)?);
     if has_level_sets {
         refuse_options(&frames.method, Use::AsItIs)?;
         Settings::for_level_sets(&choices)?;
@@ -169,7 +170,6 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         }
     }
     warnings.extend(ignored(&frames.method, &frames.formats, &outputs.formats));
-    FileFilter::new(frames.pattern.as_deref(), Vec::new())?;
     if let Some(sentinel) = &frames.sentinel {
         check_sentinel(sentinel)?;
     }
