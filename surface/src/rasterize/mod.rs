@@ -415,7 +415,7 @@ fn has_value_within(phi: &Leaf, half_width: f32, obstacle: &ObstacleLeaf) -> boo
 /// Keeps only these leaves of a field, in ascending order. A field that loses few leaves keeps its memory,
 /// because the system takes longer to provide new memory.
 fn keep(field: &mut Field, kept: &[usize]) {
-    if field.leaves.len() - kept.len() > (field.leaves.len() / 4).min(WASTED_LEAVES_MAX) {
+    if field.leaves.len() - kept.len() > (field.leaves.len() / 6).min(WASTED_LEAVES_MAX) {
         field.leaves = kept.par_iter().halved().map(|&leaf| field.leaves[leaf]).collect();
     } else {
         keep_in_place(field, kept);
