@@ -98,6 +98,7 @@ fn watch(cache: &Path, surfaces: &Path) -> Watch {
     Watch {
         input: cache.to_owned(),
         pattern: None,
+        has_level_sets: false,
         sentinel: None,
         outputs: OutputOptions::new(surfaces, &[OutputFormat::Glb, OutputFormat::Vdb]),
         choices: MethodOptions::default(),

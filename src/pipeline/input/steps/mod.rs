@@ -260,7 +260,7 @@ pub fn has_container_frames(file: &Path) -> bool {
 ///
 /// # Errors
 /// Those of [`read_step`]; [`Error::Unsupported`] if there are several frames.
-pub(crate) fn read_only_frame(file: &Path, by: IndexPolicy) -> Result<Option<(Vec<u8>, FileStamp)>> {
+pub(crate) fn read_only_frame(file: &Path, by: IndexPolicy) -> Result<Option<StampedBytes>> {
     let Some(contents) = by.index(file)? else { return Ok(None) };
     if let [first, .., last] = &contents.steps[..] {
         let what = format!(
@@ -274,8 +274,11 @@ pub(crate) fn read_only_frame(file: &Path, by: IndexPolicy) -> Result<Option<(Ve
     read_sample(file, 0, &contents)
 }
 
+/// The bytes of a frame, and the stamp of its file.
+type StampedBytes = (Vec<u8>, FileStamp);
+
 /// The bytes of a frame that is not a whole file, as of [`read_step`] or [`read_only_frame`]; `None` for one that is.
-pub(crate) fn read_part(frame: &Path, by: IndexPolicy) -> Option<Result<Option<(Vec<u8>, FileStamp)>>> {
+pub(crate) fn read_part(frame: &Path, by: IndexPolicy) -> Option<Result<Option<StampedBytes>>> {
     match step_of(frame) {
         Some((file, step)) => Some(read_step(file, step, by)),
         None => is_container_file(frame).then(|| read_only_frame(frame, by)),
@@ -283,7 +286,7 @@ pub(crate) fn read_part(frame: &Path, by: IndexPolicy) -> Option<Result<Option<(
 }
 
 /// Like [`read_step`], of a container.
-fn read_sample(file: &Path, index: usize, contents: &StepIndex) -> Result<Option<(Vec<u8>, FileStamp)>> {
+fn read_sample(file: &Path, index: usize, contents: &StepIndex) -> Result<Option<StampedBytes>> {
     let open = OpenContainer::open(file)?.filter(|open| open.stamp() == contents.stamp);
     let Some(open) = open else { return Ok(None) };
     Ok(open.packed(index)?.map(|bytes| (bytes, contents.stamp)))
@@ -294,7 +297,7 @@ fn read_sample(file: &Path, index: usize, contents: &StepIndex) -> Result<Option
 ///
 /// # Errors
 /// When the system reports an error, the file has no such step, or the step cannot be decompressed.
-pub(crate) fn read_step(file: &Path, step: &str, by: IndexPolicy) -> Result<Option<(Vec<u8>, FileStamp)>> {
+pub(crate) fn read_step(file: &Path, step: &str, by: IndexPolicy) -> Result<Option<StampedBytes>> {
     let Some(contents) = by.index(file)? else { return Ok(None) };
     if contents.is_container() {
         return read_sample(file, contents.index_of(step)?, &contents);
