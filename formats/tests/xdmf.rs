@@ -60,7 +60,7 @@ fn times_are_frames_with_items_of_all_formats() {
     let expected: Vec<_> =
         [10.0, 0.0].into_iter().flat_map(|step| (0..6).map(move |i| position(i.into(), step))).collect();
     assert_eq!(frame.positions, FilePositions::F64(expected));
-    assert_eq!(frame.attributes[0].values, Values::I32((100..106).chain(100..106).collect()));
+    assert_eq!(frame.attributes[0].values, Values::I64((100..106).chain(100..106).collect()));
     assert!(read(XDMF, 2).is_err());
 }
 
