@@ -159,6 +159,17 @@ impl LeafMask {
         CoordBox { min: IVec3::new(x_min, y_min, z_min), max: IVec3::new(x_max, y_max, z_max) }
     }
 
+    /// The voxels of the mask in each of the leaf's eight cubes of 4³ voxels.
+    pub fn eighths(&self) -> [LeafMask; 8] {
+        const HALVES_OF_Y: [u64; 2] = [0x0000_0000_ffff_ffff, 0xffff_ffff_0000_0000];
+        const HALVES_OF_Z: [u64; 2] = [0x0f0f_0f0f_0f0f_0f0f, 0xf0f0_f0f0_f0f0_f0f0];
+        std::array::from_fn(|eighth| {
+            let rows = HALVES_OF_Y[eighth >> 1 & 1] & HALVES_OF_Z[eighth & 1];
+            let word = |x: usize| if x >> 2 == eighth >> 2 { self.words[x] & rows } else { 0 };
+            LeafMask { words: std::array::from_fn(word) }
+        })
+    }
+
     /// True if the mask is empty.
     pub fn is_empty(&self) -> bool {
         self.words == [0; 8]
@@ -243,6 +254,18 @@ mod tests {
         });
         assert!(expected.count() > 20);
         assert_eq!(masks[0].surrounded(std::array::from_fn(|face| &masks[face + 1])), expected);
+    }
+
+    #[test]
+    fn eighths_are_cubes_that_make_the_mask() {
+        let mask = scattered(5, 1);
+        let mut all = LeafMask::EMPTY;
+        for (index, eighth) in mask.eighths().into_iter().enumerate() {
+            let half = |voxel: IVec3| voxel.x / 4 * 4 + voxel.y / 4 * 2 + voxel.z / 4;
+            assert!(eighth.iter().all(|offset| half(voxel_in_leaf(offset)) == index as i32));
+            all = all.or(&eighth);
+        }
+        assert_eq!(all, mask);
     }
 
     #[test]

@@ -321,16 +321,32 @@ pub(super) fn leaves_of_boxes(
     boxes: &[(IVec3, CoordBox)],
     is_wanted: impl Fn(IVec3) -> bool + Sync,
 ) -> Vec<IVec3> {
+    leaves_around_boxes(boxes, 0, is_wanted)
+}
+
+/// Like [`leaves_of_boxes`], with the leaves whose voxels are within `margin` voxels of a box along each axis, and
+/// at most one voxel more in a straight line.
+pub(super) fn leaves_around_boxes(
+    boxes: &[(IVec3, CoordBox)],
+    margin: i32,
+    is_wanted: impl Fn(IVec3) -> bool + Sync,
+) -> Vec<IVec3> {
     let edge = IVec3::splat(LEAF_EDGE);
+    let apart_max = (margin + 1) * (margin + 1);
     let touched = |boxes: &[(IVec3, CoordBox)]| {
         checkpoint();
         let mut origins = FxHashSet::default();
         for (origin, voxels) in boxes.iter().filter(|(_, voxels)| !voxels.is_empty()) {
-            let (first, last) = (voxels.min.div_euclid(edge), voxels.max.div_euclid(edge));
+            let (first, last) =
+                ((voxels.min - margin).div_euclid(edge), (voxels.max + margin).div_euclid(edge));
+            let is_near = |leaf: &IVec3| {
+                let apart = (voxels.min - (leaf + (LEAF_EDGE - 1))).max(leaf - voxels.max).max(IVec3::ZERO);
+                apart.length_squared() <= apart_max
+            };
             for x in first.x..=last.x {
                 for y in first.y..=last.y {
-                    let along_z = (first.z..=last.z).map(|z| origin + IVec3::new(x, y, z) * LEAF_EDGE);
-                    origins.extend(along_z);
+                    let along_z = (first.z..=last.z).map(|z| IVec3::new(x, y, z) * LEAF_EDGE);
+                    origins.extend(along_z.filter(is_near).map(|leaf| origin + leaf));
                 }
             }
         }

@@ -49,7 +49,7 @@ use crate::parallel::Loops as _;
 use crate::particles::{AnySource, ParticleSource, Unread, erased};
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::{CoordBox, Lattice};
-use culling::{Culling, leaves_of_boxes};
+use culling::{Culling, leaves_around_boxes};
 use distances::{DistanceSolver, SphereDistances, SphereUnion, signed_distance};
 use occupancy::middle;
 
@@ -283,7 +283,7 @@ fn measure(
     Ok(NearDistances { bins, topology, distances })
 }
 
-/// Origins of the leaves near the surface: those with a voxel within the band's margin, per axis, of a voxel
+/// Origins of the leaves near the surface: those with a voxel within about the band's margin of a voxel
 /// inside S_0 that has a face neighbor outside. With obstacles there are two surfaces, that of S_0 and that
 /// of S_0 minus the obstacles. A void may be filled next to either of them, so the leaves near the second
 /// surface are included. Here the obstacles have their real surfaces, which φ meets after the offset. During
@@ -297,24 +297,22 @@ fn leaves_near_surface(
     regions: &Regions,
 ) -> Vec<IVec3> {
     let mut inside = distances.inside(SphereUnion::Init, scene.radii);
-    let margin = scene.radii.band_margin();
-    let mut surfaces = crossings(culling, &inside, |origin| culling.is_deep(origin), margin, regions);
+    let mut surfaces = crossings(culling, &inside, |origin| culling.is_deep(origin), regions);
     if !scene.obstacles.is_empty() {
         let leaves = inside.par_iter_mut().zip(culling.near.origins());
         leaves.halved().for_each(|(inside, &origin)| remove_obstacle(inside, &scene.obstacle(origin)));
         let is_deep = |origin| culling.is_deep(origin) && scene.obstacle(origin) != ObstacleLeaf::Inside;
-        surfaces.extend(crossings(culling, &inside, is_deep, margin, regions));
+        surfaces.extend(crossings(culling, &inside, is_deep, regions));
     }
-    leaves_of_boxes(&surfaces, |origin| regions.swept.contains(origin))
+    leaves_around_boxes(&surfaces, scene.radii.band_margin(), |origin| regions.swept.contains(origin))
 }
 
-/// For each leaf, the bounding box of its voxels that are inside and next to an outside voxel, expanded by a
-/// margin.
+/// For each eighth of each leaf, the bounding box of its voxels that are inside and next to an outside voxel. The
+/// boxes of whole leaves would be near twice as many leaves as are stored.
 fn crossings(
     culling: &Culling,
     inside: &[LeafMask],
     is_deep: impl Fn(IVec3) -> bool + Sync,
-    margin: i32,
     regions: &Regions,
 ) -> Vec<(IVec3, CoordBox)> {
     let surface = |(leaf, &origin): (usize, &IVec3)| {
@@ -326,10 +324,11 @@ fn crossings(
         });
         let mut crossings = inside[leaf];
         crossings.remove_all(&inside[leaf].surrounded(faces));
-        let voxels = crossings.bounding_box();
-        (!voxels.is_empty() && regions.crossed.contains(origin)).then(|| (origin, voxels.expanded(margin)))
+        let is_crossed = !crossings.is_empty() && regions.crossed.contains(origin);
+        let eighths = is_crossed.then(|| crossings.eighths()).into_iter().flatten();
+        eighths.filter(|eighth| !eighth.is_empty()).map(move |eighth| (origin, eighth.bounding_box()))
     };
-    culling.near.origins().par_iter().enumerate().halved().filter_map(surface).collect()
+    culling.near.origins().par_iter().enumerate().halved().flat_map_iter(surface).collect()
 }
 
 /// Clears the voxels that are in an obstacle.

@@ -5,6 +5,7 @@ use std::convert::Infallible;
 use glam::{IVec3, Vec3};
 use rustc_hash::FxHashMap;
 
+use super::culling::leaves_of_boxes;
 use super::*;
 use crate::grid::{Leaf, voxel_in_leaf};
 use crate::level_set::{Sweeps, UNREACHED, extend};
