@@ -21,8 +21,8 @@ use meniscus_formats::{
 use serde::Serialize;
 
 use crate::pipeline::{
-    FrameError, MeshFile, USD_STAGE_FRAMES, file_of, frames_in, frames_in_unless, has_container_frames,
-    is_absent, measure_spacing, open_regular, read_file, read_regular, step_of, time_of_frame,
+    FrameError, USD_STAGE_FRAMES, file_of, frames_in, frames_in_unless, has_container_frames, is_absent,
+    measure_spacing, open_regular, read_file, read_regular, read_scene_mesh, step_of, time_of_frame,
 };
 
 use crate::surface::options::SpacingOptions;
@@ -271,10 +271,10 @@ impl FileInfo {
             },
             // Other programs write no summary.
             Format::Usda | Format::Usdc | Format::Usdz | Format::Abc if self.made_by.is_none() => {
-                match MeshFile::read(path) {
-                    Ok(mesh) => self.mesh = Some(MeshInfo::of(&mesh.data)),
-                    Err(error) => self.notes.push(reason(&error).to_string()),
-                }
+                let Some((mesh, is_animated)) = read_scene_mesh(path)? else { return Ok(false) };
+                self.mesh = Some(MeshInfo::of(&mesh));
+                let note = "the meshes are animated: these are those of the first samples";
+                self.notes.extend(is_animated.then(|| note.to_owned()));
             }
             Format::Usda => match usda::read_layer_info(bytes)? {
                 Some(info @ usda::LayerInfo { frames: Some(frames), .. }) => {

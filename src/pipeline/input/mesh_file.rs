@@ -10,11 +10,23 @@ use meniscus_formats::{Format, Limits, MeshData, gltf, looks_like_mesh, looks_li
 use twox_hash::XxHash3_128;
 use twox_hash::xxhash3_128::Hasher;
 
+use super::container::OpenContainer;
 use super::obstacle_file::may_have_buffers;
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::open::{open_regular, read_regular};
 use crate::pipeline::target::viewpoint::Viewpoint;
 use crate::render::{Picture, TriangleMesh, render_mesh};
+
+/// The meshes of a USD stage or an Alembic archive, and whether they are animated: then those of the first samples.
+/// `None` for other files.
+///
+/// # Errors
+/// When the file cannot be read, or holds no meshes.
+pub fn read_scene_mesh(path: &Path) -> meniscus_formats::Result<Option<(MeshData, bool)>> {
+    let Some(open) = OpenContainer::open(path)? else { return Ok(None) };
+    let Some(is_animated) = open.are_meshes_animated()? else { return Ok(None) };
+    Ok(open.meshes(None)?.map(|mesh| (mesh, is_animated)))
+}
 
 /// A mesh that was read from a file.
 #[derive(Clone, Debug)]
