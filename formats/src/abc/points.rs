@@ -68,9 +68,9 @@ pub(super) fn frame_numbers(times: &[f64]) -> Option<Vec<i64>> {
 ///
 /// # Errors
 ///
-/// [`Error::Unsupported`] for archives without Points, and for HDF5; [`Error::Truncated`] or
-/// [`Error::Invalid`], with the position, if the file is truncated or damaged, or has fewer samples;
-/// [`Error::TooLarge`] beyond `limits`.
+/// [`Unsupported`](crate::Error::Unsupported) for archives without Points, and for HDF5;
+/// [`Truncated`](crate::Error::Truncated) or [`Invalid`](crate::Error::Invalid), with the position, if the file is
+/// truncated or damaged, or has fewer samples; [`TooLarge`](crate::Error::TooLarge) beyond `limits`.
 pub fn read_points(bytes: &[u8], index: usize, limits: &Limits) -> Result<ParticleFrame> {
     read_sample(&bytes, index, limits)
 }
