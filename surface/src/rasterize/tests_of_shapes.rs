@@ -196,7 +196,17 @@ fn windows_equal_the_whole_frame() {
 fn reference(source: &ParticleCloud, radii: Radii) -> (NarrowBand, Bounds) {
     let (values, half_width) = (Definition::new(source, radii), radii.half_width());
     let signed = |topology: &Topology, surface: usize, reach| values.signed(topology, surface, reach);
-    assembled(values.leaves.keys().copied(), |voxel| values.is_crossing(voxel), signed, half_width)
+    let leaves = values.leaves.keys().copied();
+    let (mut band, mut bounds) = assembled(leaves, |voxel| values.is_crossing(voxel), signed, half_width);
+    // Where the band is narrower than the gap between the radii, φ stays positive next to its edge.
+    for (leaf, phi) in band.phi.leaves.iter_mut().enumerate() {
+        let (lower, upper) = (&mut bounds.lower.leaves[leaf].values, &bounds.upper.leaves[leaf].values);
+        for (offset, phi) in phi.values.iter_mut().enumerate().filter(|(_, phi)| **phi > half_width - 2.0) {
+            lower[offset] = lower[offset].max(1.0).min(upper[offset]);
+            *phi = phi.max(lower[offset]);
+        }
+    }
+    (band, bounds)
 }
 
 /// The values at every voxel within the range of a particle, for the three radii: of balls, the least; of
@@ -296,7 +306,7 @@ fn value_of(shapes: &Shapes, particle: usize, apart: Vec3, radii: [f32; 3]) -> [
         }
         Shapes::Ellipsoids(ellipsoids) => {
             let ellipsoid = ellipsoids[particle];
-            let extents = radii[0] * ellipsoid.extents() + 1.125;
+            let extents = radii[0] * ellipsoid.max * ellipsoid.extents() + 1.125;
             let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball;
             let along = |a: f32, b: f32, c: f32, v: Vec3| (a * v.x + b * v.y) + c * v.z;
             let times = |v: Vec3| Vec3::new(along(xx, xy, xz, v), along(xy, yy, yz, v), along(xz, yz, zz, v));
