@@ -98,6 +98,11 @@ impl OutputFolderWorker {
         for problem in records.problems() {
             tracing::warn!(folder = %folder.display(), "{problem}: converting the frames that are recorded there again");
         }
+        // Now, while what they say is known: if the file is removed later, all of it is written again.
+        let failure = records.prepare().err();
+        if let Some(error) = &failure {
+            tracing::warn!(folder = %folder.display(), "cannot write records: {error}");
+        }
         let locked = Mutex::new(LockedFolder { lock, device });
         let stages = FolderUsdStages::new(&folder, config).map_err(DaemonError::Pattern)?;
         Ok(OutputFolderWorker {
@@ -108,7 +113,7 @@ impl OutputFolderWorker {
                 floor_bytes: config.disk_floor_bytes,
                 locked,
             }),
-            records_failed_at: None,
+            records_failed_at: failure.map(|_| Instant::now()),
             is_mounted: true,
             next_check: Instant::now(),
             stages,
