@@ -231,7 +231,7 @@ impl Shell {
                 |leaf: &Leaf| Leaf { values: std::array::from_fn(|offset| leaf.values[offset] + by(offset)) };
             Field { leaves: sphere.leaves.iter().map(leaf).collect() }
         };
-        let bounds = Bounds { lower: moved(&|_| -BOUND_DISTANCE), upper: moved(&|_| BOUND_DISTANCE) };
+        let bounds = Bounds::new(moved(&|_| -BOUND_DISTANCE), moved(&|_| BOUND_DISTANCE));
         // The amplitude is that of the bounds, so that they clamp some voxels.
         let phi = moved(&|offset| BOUND_DISTANCE * (offset as f32 * 0.7).sin());
         let is_free = |phi: &&f32| phi.abs() <= FREE_WIDTH;

@@ -40,7 +40,7 @@ fn noisy_sphere() -> (NarrowBand, Bounds) {
     for value in phi.leaves.iter_mut().flat_map(|leaf| &mut leaf.values) {
         *value += 2.0 * random.unit() as f32 - 1.0;
     }
-    let bounds = Bounds { lower: sphere(BOUND_RADII[1]), upper: sphere(BOUND_RADII[0]) };
+    let bounds = Bounds::new(sphere(BOUND_RADII[1]), sphere(BOUND_RADII[0]));
     let band = NarrowBand { topology: Arc::new(topology), phi, half_width: HALF_WIDTH };
     (band, bounds)
 }
@@ -85,7 +85,8 @@ fn laplacian_smoothing_shrinks_a_noisy_sphere_onto_its_bound() {
     assert_eq!(bounds.violation_count(&band.phi), 0);
     let volume = volume(&band) / ball_volume(BOUND_RADII[0]);
     // The surface has reached the bound: φ is near its upper bound everywhere, and never far below it.
-    let pairs = band.phi.as_arrays().as_flattened().iter().zip(bounds.upper.as_arrays().as_flattened());
+    let [_, upper] = bounds.to_fields();
+    let pairs = band.phi.as_arrays().as_flattened().iter().zip(upper.as_arrays().as_flattened());
     let gaps: Vec<f32> = pairs.filter(|(phi, _)| phi.abs() < 1.0).map(|(phi, upper)| upper - phi).collect();
     let held = gaps.iter().filter(|gap| **gap == 0.0).count() as f64 / gaps.len() as f64;
     let widest = gaps.iter().copied().fold(0.0, f32::max);

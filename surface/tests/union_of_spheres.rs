@@ -21,13 +21,12 @@ fn outside_distance(positions: &[DVec3], voxel: IVec3, radius: f64) -> f64 {
 fn assert_exact_outside(positions: &[DVec3]) -> usize {
     let (band, bounds) = rasterized(positions);
     let radii = default_radii();
+    let [lower, upper] = bounds.to_fields();
     let mut checked = 0;
-    for (radius, phi, reach) in [
-        (radii.init, &band.phi, f64::INFINITY),
-        (radii.max, &bounds.lower, 1.499),
-        (radii.min, &bounds.upper, 1.499),
-    ] {
-        let band = meniscus_surface::level_set::NarrowBand { phi: phi.clone(), ..band.clone() };
+    for (radius, phi, reach) in
+        [(radii.init, band.phi.clone(), f64::INFINITY), (radii.max, lower, 1.499), (radii.min, upper, 1.499)]
+    {
+        let band = meniscus_surface::level_set::NarrowBand { phi, ..band.clone() };
         for (voxel, phi) in voxels(&band) {
             let exact = outside_distance(positions, voxel, f64::from(radius));
             assert_eq!(phi < 0.0, exact < 0.0, "the sign at {voxel}");

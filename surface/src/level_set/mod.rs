@@ -23,7 +23,8 @@ pub use rebuilt::{
 pub use redistance::{Sweeps, UNREACHED, extend, extend_in, redistance, redistance_in};
 
 use crate::grid::{
-    Field, LEAF_EDGE, LEAF_VOXELS, Leaf, LeafMask, NO_LEAF, Topology, negative_masks, offset_in_leaf,
+    Field, LEAF_EDGE, LEAF_VOXELS, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology, negative_masks,
+    offset_in_leaf,
 };
 use crate::parallel::Loops as _;
 
@@ -61,17 +62,63 @@ impl NarrowBand {
 /// signed distances near the surface of their union, and open farther away.
 #[derive(Clone, Debug)]
 pub struct Bounds {
-    /// φ_max of the paper, from the outer union of spheres, in voxels.
-    pub lower: Field,
-    /// φ_min of the paper, from the inner union of spheres, in voxels.
-    pub upper: Field,
+    /// Bounds of leaves, in voxels. Those with one value everywhere are stored once.
+    leaves: Vec<Leaf>,
+    /// For each leaf of the topology, where its lower and its upper bounds are in `leaves`.
+    places: Vec<[u32; 2]>,
 }
 
 impl Bounds {
+    /// Bounds with these values: φ_max of the paper, from the outer union of spheres, and φ_min, from the inner
+    /// one, in voxels. Both end up in the memory of the first field, if it has room for them.
+    pub fn new(lower: Field, upper: Field) -> Bounds {
+        let mut place_of_value = FxHashMap::default();
+        let mut placed = |field: &Field, first: usize| -> (Vec<u32>, Vec<usize>) {
+            let only_values: Vec<Option<u32>> = field.leaves.par_iter().halved().map(only_value).collect();
+            let mut kept = Vec::new();
+            let place = |(leaf, value): (usize, Option<u32>)| {
+                let new = (first + kept.len()) as u32;
+                let place = value.map_or(new, |value| *place_of_value.entry(value).or_insert(new));
+                kept.extend((place == new).then_some(leaf));
+                place
+            };
+            (only_values.into_iter().enumerate().map(place).collect(), kept)
+        };
+        let (lower_places, kept_lower) = placed(&lower, 0);
+        let (upper_places, kept_upper) = placed(&upper, kept_lower.len());
+        let mut leaves = lower.leaves;
+        for (to, from) in kept_lower.iter().copied().enumerate() {
+            leaves[to] = leaves[from];
+        }
+        leaves.truncate(kept_lower.len());
+        leaves.reserve_exact(kept_upper.len());
+        leaves.par_extend(kept_upper.par_iter().halved().map(|&leaf| upper.leaves[leaf]));
+        let places =
+            lower_places.into_iter().zip(upper_places).map(|(lower, upper)| [lower, upper]).collect();
+        Bounds { leaves, places }
+    }
+
+    /// The lower and the upper bounds of a leaf of the topology.
+    #[inline(always)]
+    pub fn of_leaf(&self, leaf: usize) -> [&Leaf; 2] {
+        self.places[leaf].map(|place| &self.leaves[place as usize])
+    }
+
+    /// The lower and the upper bounds as plain fields.
+    pub fn to_fields(&self) -> [Field; 2] {
+        [0, 1].map(|bound| Field {
+            leaves: (0..self.places.len())
+                .into_par_iter()
+                .halved()
+                .map(|leaf| *self.of_leaf(leaf)[bound])
+                .collect(),
+        })
+    }
+
     /// Clamps every value to its interval (Eq. 6).
     pub fn clamp(&self, phi: &mut Field) {
-        let bounds = self.lower.leaves.par_iter().zip(&self.upper.leaves);
-        phi.leaves.par_iter_mut().zip(bounds).halved().for_each(|(phi, (lower, upper))| {
+        phi.leaves.par_iter_mut().enumerate().halved().for_each(|(leaf, phi)| {
+            let [lower, upper] = self.of_leaf(leaf);
             for ((phi, lower), upper) in phi.values.iter_mut().zip(&lower.values).zip(&upper.values) {
                 *phi = phi.max(*lower).min(*upper);
             }
@@ -80,18 +127,22 @@ impl Bounds {
 
     /// Number of values outside their interval.
     pub fn violation_count(&self, phi: &Field) -> usize {
-        let bounds = self.lower.leaves.par_iter().zip(&self.upper.leaves);
-        let count =
-            |(phi, (lower, upper)): (&crate::grid::Leaf, (&crate::grid::Leaf, &crate::grid::Leaf))| {
-                let intervals = lower.values.iter().zip(&upper.values);
-                phi.values
-                    .iter()
-                    .zip(intervals)
-                    .filter(|(phi, (lower, upper))| !(*lower <= *phi && *phi <= *upper))
-                    .count()
-            };
-        phi.leaves.par_iter().zip(bounds).halved().map(count).sum()
+        let count = |(leaf, phi): (usize, &Leaf)| {
+            let [lower, upper] = self.of_leaf(leaf);
+            let intervals = lower.values.iter().zip(&upper.values);
+            let values = phi.values.iter().zip(intervals);
+            values.filter(|(phi, (lower, upper))| !(*lower <= *phi && *phi <= *upper)).count()
+        };
+        phi.leaves.par_iter().enumerate().halved().map(count).sum()
     }
+}
+
+/// The bits of the value that all voxels of a leaf have; `None` if they differ.
+fn only_value(leaf: &Leaf) -> Option<u32> {
+    // Row by row, which takes vector instructions.
+    let rows: &[[u32; 8]; ROW_COUNT] = bytemuck::cast_ref(&leaf.values);
+    let first = rows[0][0];
+    rows.iter().all(|row| *row == [first; 8]).then_some(first)
 }
 
 // Moves the surface of a level set by a constant distance.

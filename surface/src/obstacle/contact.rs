@@ -44,8 +44,8 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::{Obstacle, ObstacleLeaf, ObstacleSdf, Obstacles};
-use crate::grid::{LEAF_EDGE, Leaf, ROW_COUNT, offset_in_leaf};
-use crate::level_set::{Bounds, NEAREST_TO_ZERO, NarrowBand};
+use crate::grid::{Field, LEAF_EDGE, Leaf, ROW_COUNT, offset_in_leaf};
+use crate::level_set::{NEAREST_TO_ZERO, NarrowBand};
 use crate::mesh::Mesh;
 use crate::parallel::Loops as _;
 use crate::simd::{self, Kernel, Lanes};
@@ -82,10 +82,10 @@ pub fn fill_gaps_at_obstacles(
     obstacle: impl Fn(IVec3) -> ObstacleLeaf + Sync,
     void_threshold: f32,
     band: &mut NarrowBand,
-    bounds: &mut Bounds,
+    [lower, upper]: [&mut Field; 2],
 ) -> ContactStats {
     let half_width = band.half_width;
-    let fields = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
+    let fields = lower.leaves.par_iter_mut().zip(&mut upper.leaves);
     let fields = band.phi.leaves.par_iter_mut().zip(fields).zip(band.topology.origins());
     let of_leaf = |((phi, (lower, upper)), &origin): ((&mut Leaf, (&mut Leaf, &mut Leaf)), &IVec3)| {
         let inside = Leaf::splat(-half_width);

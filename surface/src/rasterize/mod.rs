@@ -378,14 +378,13 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     [&mut phi, &mut lower, &mut upper].into_iter().for_each(|field| keep(field, &own));
     let topology = Arc::new(subset(topology, &own));
     let mut band = NarrowBand { topology, phi, half_width };
-    let mut bounds = Bounds { lower, upper };
     // Voxels that are not stored are at least the half width from the surface, and stored voxels next to them
     // are almost as far from it. If particles are not uniform balls, the lower bounds at these voxels would
     // let the surface leave the band, so the bounds are raised to keep φ positive there. The upper bounds
     // need no such limit: the surface moves far inward only where it is sharply convex, as around small
     // balls, and there S_min is near. `inner_from` does not include the extra width for the offset.
     let inner_from = if bins.shapes.is_uniform() { f32::INFINITY } else { radii.result_half_width() - 2.0 };
-    finish(&mut band, &mut bounds, inner_from, POSITIVE_MARGIN + radii.outward());
+    finish(&mut band, [&mut lower, &mut upper], inner_from, POSITIVE_MARGIN + radii.outward());
     let contact = if scene.obstacles.is_empty() {
         ContactStats::default()
     } else {
@@ -393,10 +392,10 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
             |origin| scene.obstacle_before_offset(origin),
             scene.void_threshold,
             &mut band,
-            &mut bounds,
+            [&mut lower, &mut upper],
         )
     };
-    RasterFields { bins, band, bounds, contact }
+    RasterFields { bins, band, bounds: Bounds::new(lower, upper), contact }
 }
 
 /// True if a leaf has a value within the half width after obstacles are cut out (Eq. 12).
@@ -449,9 +448,9 @@ fn sweep_count(half_width: f32) -> u32 {
 /// Clamps φ to ± half width, and opens the bounds beyond [`BOUND_REACH`]. Ensures `lower` ≤ `upper` at every
 /// voxel (independent sweeps do not guarantee it), and clamps φ between them. Where φ_0 is above `inner_from`,
 /// φ stays at or above `inner_value`.
-fn finish(band: &mut NarrowBand, bounds: &mut Bounds, inner_from: f32, inner_value: f32) {
+fn finish(band: &mut NarrowBand, [lower, upper]: [&mut Field; 2], inner_from: f32, inner_value: f32) {
     let half_width = band.half_width;
-    let bounds = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
+    let bounds = lower.leaves.par_iter_mut().zip(&mut upper.leaves);
     band.phi.leaves.par_iter_mut().zip(bounds).halved().for_each(|(phi, (lower, upper))| {
         simd::dispatch(ClampLeaf { half_width, inner_from, inner_value, phi, lower, upper });
     });

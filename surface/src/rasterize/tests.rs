@@ -113,14 +113,14 @@ pub(super) fn assembled(
     let kept: Vec<usize> = (0..topology.len()).filter(has_value).collect();
     let phi = Field { leaves: kept.iter().map(|&leaf| phi.leaves[leaf]).collect() };
     let topology = Topology::new(kept.iter().map(|&leaf| topology.origins()[leaf]).collect());
-    let [lower, upper] = [0, 2].map(|surface| signed(&topology, surface, BOUND_REACH));
-    let mut bounds = Bounds { lower, upper };
-    for (lower, upper) in bounds.lower.leaves.iter_mut().zip(&mut bounds.upper.leaves) {
+    let [mut lower, mut upper] = [0, 2].map(|surface| signed(&topology, surface, BOUND_REACH));
+    for (lower, upper) in lower.leaves.iter_mut().zip(&mut upper.leaves) {
         for (lower, upper) in lower.values.iter_mut().zip(&mut upper.values) {
             *upper = if *upper > BOUND_REACH { half_width } else { upper.max(-BOUND_REACH) };
             *lower = if *lower < -BOUND_REACH { -half_width } else { lower.min(BOUND_REACH) }.min(*upper);
         }
     }
+    let bounds = Bounds::new(lower, upper);
     let mut band = NarrowBand { topology: Arc::new(topology), phi, half_width };
     bounds.clamp(&mut band.phi);
     (band, bounds)
@@ -211,8 +211,10 @@ impl Distances {
 pub(super) type LeafBits = Vec<(IVec3, [[u32; 512]; 3])>;
 
 pub(super) fn values(band: &NarrowBand, bounds: &Bounds) -> LeafBits {
-    let fields = [&band.phi, &bounds.lower, &bounds.upper];
-    let of_leaf = |leaf: usize| fields.map(|field| field.leaves[leaf].values.map(f32::to_bits));
+    let of_leaf = |leaf: usize| {
+        let [lower, upper] = bounds.of_leaf(leaf);
+        [&band.phi.leaves[leaf], lower, upper].map(|leaf| leaf.values.map(f32::to_bits))
+    };
     band.topology.origins().iter().enumerate().map(|(leaf, &origin)| (origin, of_leaf(leaf))).collect()
 }
 

@@ -81,18 +81,18 @@ fn round_ellipsoids_approximate_balls() {
         rasterize(&OwnedPositions::F32(positions.clone()), &RasterParams::open(LATTICE, RADII[0]));
     let round = Shapes::Ellipsoids(vec![Ellipsoid::ball(1.0); positions.len()]);
     let Ok(round) = rasterize(&cloud(&positions, round), &RasterParams::open(LATTICE, RADII[0]));
-    let fields = [
-        (&round.band.phi, &balls.band.phi),
-        (&round.bounds.lower, &balls.bounds.lower),
-        (&round.bounds.upper, &balls.bounds.upper),
-    ];
+    let fields_of = |fields: &RasterFields| {
+        let [lower, upper] = fields.bounds.to_fields();
+        [fields.band.phi.clone(), lower, upper]
+    };
+    let (round_fields, balls_fields) = (fields_of(&round), fields_of(&balls));
     let balls_topology = &balls.band.topology;
     let mut shared_count = 0;
     for (leaf, &origin) in balls.band.topology.origins().iter().enumerate() {
         // At the edge of the band, different swept distances can select different leaves: skip these.
         let Some(other) = round.band.topology.find(origin) else { continue };
         shared_count += 1;
-        for (field, (round, balls)) in fields.into_iter().enumerate() {
+        for (field, (round, balls)) in round_fields.iter().zip(&balls_fields).enumerate() {
             for offset in 0..512 {
                 // Bounds are open farther away.
                 let reach = if field == 0 { f32::INFINITY } else { 1.0 };
@@ -154,8 +154,7 @@ fn surface_stays_in_the_band_if_bounds_exceed_it() {
             if steps.into_iter().all(|step| band.topology.find_voxel(voxel + step).is_some()) {
                 continue;
             }
-            let [lower, upper] =
-                [&bounds.lower, &bounds.upper].map(|bound| bound.leaves[leaf].values[offset]);
+            let [lower, upper] = bounds.of_leaf(leaf).map(|bound| bound.values[offset]);
             let phi = band.phi.leaves[leaf].values[offset];
             assert!(phi.abs() > 4.0, "a voxel at the end of the band is {phi} from the surface");
             assert!(phi < 0.0 || lower >= 1.0, "{lower} to {upper} at {voxel}");
@@ -197,16 +196,17 @@ fn reference(source: &ParticleCloud, radii: Radii) -> (NarrowBand, Bounds) {
     let (values, half_width) = (Definition::new(source, radii), radii.half_width());
     let signed = |topology: &Topology, surface: usize, reach| values.signed(topology, surface, reach);
     let leaves = values.leaves.keys().copied();
-    let (mut band, mut bounds) = assembled(leaves, |voxel| values.is_crossing(voxel), signed, half_width);
+    let (mut band, bounds) = assembled(leaves, |voxel| values.is_crossing(voxel), signed, half_width);
     // Where the band is narrower than the gap between the radii, φ stays positive next to its edge.
+    let [mut lower, upper] = bounds.to_fields();
     for (leaf, phi) in band.phi.leaves.iter_mut().enumerate() {
-        let (lower, upper) = (&mut bounds.lower.leaves[leaf].values, &bounds.upper.leaves[leaf].values);
+        let (lower, upper) = (&mut lower.leaves[leaf].values, &upper.leaves[leaf].values);
         for (offset, phi) in phi.values.iter_mut().enumerate().filter(|(_, phi)| **phi > half_width - 2.0) {
             lower[offset] = lower[offset].max(1.0).min(upper[offset]);
             *phi = phi.max(lower[offset]);
         }
     }
-    (band, bounds)
+    (band, Bounds::new(lower, upper))
 }
 
 /// The values at every voxel within the range of a particle, for the three radii: of balls, the least; of

@@ -57,8 +57,7 @@ impl BoundedBand {
             Some(half_width) => widened(&band, half_width),
             None => band,
         };
-        let bounds =
-            Bounds { lower: moved(&band.phi, -max_deviation), upper: moved(&band.phi, max_deviation) };
+        let bounds = Bounds::new(moved(&band.phi, -max_deviation), moved(&band.phi, max_deviation));
         BoundedBand { band, bounds, max_deviation, translation }
     }
 

@@ -296,7 +296,7 @@ impl WholeFields {
         let RasterFields { bins, band, bounds, contact } = rasterize::rasterize_any(source, scene)?;
         let contact = ContactStats { particle_count: inside_obstacles(source, scene)?, ..contact };
         let possibly_outside = if source.is_smoothed() {
-            Some(possibly_outside(source, scene, &band.topology, &bounds.upper)?)
+            Some(possibly_outside(source, scene, &band.topology, &bounds)?)
         } else {
             None
         };
@@ -328,8 +328,8 @@ impl TiledFields {
             let window = tile_voxels(IVec3::from(tile), tile_leaves);
             let rasterized = rasterize::rasterize_window(source, &occupancy, scene, window)?;
             contact = contact.merge(rasterized.contact);
-            let Bounds { lower, upper } = &rasterized.bounds;
-            store.put(origins.len(), [&rasterized.band.phi, lower, upper])?;
+            let [lower, upper] = rasterized.bounds.to_fields();
+            store.put(origins.len(), [&rasterized.band.phi, &lower, &upper])?;
             origins.extend_from_slice(rasterized.band.topology.origins());
         }
         contact.particle_count = inside_obstacles(source, scene)?;
@@ -354,7 +354,7 @@ impl TiledFields {
                 let part = first..run.end.min(first + RUN_LEAVES);
                 let slots = std::slice::from_ref(&part);
                 let [lower, upper] = self.store.read_bounds(slots)?;
-                count += Bounds { lower, upper }.violation_count(&self.store.read(0, slots)?);
+                count += Bounds::new(lower, upper).violation_count(&self.store.read(0, slots)?);
             }
         }
         Ok(count)

@@ -181,7 +181,7 @@ fn apply(
     let runs = tiling.runs(tile.leaves.iter().copied());
     let origins = tile.leaves.iter().map(|&leaf| tiling.topology.origins()[leaf as usize]).collect();
     let [lower, upper] = store.read_bounds(&runs)?;
-    let bounds = Bounds { lower, upper };
+    let bounds = Bounds::new(lower, upper);
     let phi = store.read(0, &runs)?;
     let mut band = NarrowBand { topology: Arc::new(Topology::new(origins)), phi, half_width };
     let read = |field: usize| {

@@ -80,7 +80,7 @@ fn advance(
         let moved_max = simd::dispatch(Advance {
             laplacian: &Neighborhood::new(&laplacian.leaves, topology.neighbors(), leaf),
             phi: &Neighborhood::new(&phi.leaves, topology.neighbors(), leaf),
-            bounds: [&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]],
+            bounds: bounds.of_leaf(leaf),
             free: &region.free[leaf],
             free_rows: region.free_rows[leaf],
             step_size,
@@ -150,7 +150,7 @@ pub(super) fn smooth_laplacian(
         next.leaves.par_iter_mut().enumerate().with_max_len(LEAVES_PER_TASK).halved().for_each(
             |(leaf, next)| {
                 let around = Neighborhood::new(&band.phi.leaves, topology.neighbors(), leaf);
-                let bounds = [&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]];
+                let bounds = bounds.of_leaf(leaf);
                 simd::dispatch_wide(LaplacianStep { around: &around, bounds, step_size, next });
             },
         );
@@ -262,7 +262,7 @@ mod tests {
         for (amplitude, is_stability_what_rules) in [(0.3, true), (2.9, false)] {
             let start = noise(amplitude);
             let count = start.topology.len();
-            let bounds = Bounds { lower: Field::splat(count, -6.0), upper: Field::splat(count, 6.0) };
+            let bounds = Bounds::new(Field::splat(count, -6.0), Field::splat(count, 6.0));
             let region = FreeVoxels::new(&start.topology, &start.phi, 3.0);
             let mut workspace = Workspace::new(count);
             let mut band = start.clone();

@@ -150,15 +150,14 @@ impl HeavyBall<'_> {
     }
 
     fn leaves_mut<'l>(&'l mut self, region: &'l FreeVoxels) -> impl ParallelIterator<Item = StepLeaf<'l>> {
-        let Bounds { lower, upper } = self.bounds;
+        let bounds = self.bounds;
         let phi = self.band.phi.leaves.par_iter_mut();
         let fields = phi.zip(&mut self.start.leaves).zip(&mut self.previous.leaves).enumerate();
         fields.halved().map(|(leaf, ((phi, start), previous))| StepLeaf {
             phi,
             start,
             previous,
-            lower: &lower.leaves[leaf],
-            upper: &upper.leaves[leaf],
+            bounds: bounds.of_leaf(leaf),
             free: &region.free[leaf],
         })
     }
@@ -204,8 +203,7 @@ struct StepLeaf<'a> {
     start: &'a mut Leaf,
     /// x⁻.
     previous: &'a mut Leaf,
-    lower: &'a Leaf,
-    upper: &'a Leaf,
+    bounds: [&'a Leaf; 2],
     free: &'a LeafMask,
 }
 
@@ -220,7 +218,7 @@ impl Kernel for Predict<'_> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) {
-        let StepLeaf { phi, start, previous, lower, upper, free } = self.leaf;
+        let StepLeaf { phi, start, previous, bounds: [lower, upper], free } = self.leaf;
         let (repetition, limit) = (V::splat(self.repetition), PREDICTED_CHANGE_MAX);
         for row in 0..ROW_COUNT {
             let value = V::load(phi.row(row));
@@ -324,7 +322,7 @@ impl WideKernel for BlockPass<'_> {
                 neighbors.map(|local_index| laplacians.get(local_index as usize)),
             );
             let (start, current) = (&fields.start.leaves[leaf], &fields.current.leaves[leaf]);
-            let (lower, upper) = (&fields.bounds.lower.leaves[leaf], &fields.bounds.upper.leaves[leaf]);
+            let [lower, upper] = fields.bounds.of_leaf(leaf);
             let free = &fields.region.free[leaf];
             let thick = &fields.thick[leaf];
             let [beta_thin, beta_thick] = params.beta.map(V::splat);

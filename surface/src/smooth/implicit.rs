@@ -155,7 +155,7 @@ impl Solver {
         let fields = x.zip(&mut self.r.leaves).zip(&mut self.region.free).enumerate().halved();
         let advanced = fields.map(|(leaf, ((x, r), free))| {
             let (d, q) = (&d.leaves[leaf], &q.leaves[leaf]);
-            let (lower, upper) = (&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]);
+            let [lower, upper] = bounds.of_leaf(leaf);
             SolverLeaf { x, r, d, q, free, lower, upper }.advance(alpha)
         });
         let met: usize = advanced.sum();

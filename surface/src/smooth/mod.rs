@@ -161,7 +161,7 @@ fn without_steps(config: &SmoothConfig) -> SmoothConfig {
 /// Moves values away from zero, unless the bounds require values that small.
 fn keep_off_zero(phi: &mut Field, bounds: &Bounds) {
     phi.leaves.par_iter_mut().enumerate().halved().for_each(|(leaf, phi)| {
-        let (lower, upper) = (&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]);
+        let [lower, upper] = bounds.of_leaf(leaf);
         for (offset, phi) in phi.values.iter_mut().enumerate() {
             if phi.abs() < NEAREST_TO_ZERO {
                 *phi = NEAREST_TO_ZERO.copysign(*phi).max(lower.values[offset]).min(upper.values[offset]);

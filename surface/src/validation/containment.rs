@@ -20,8 +20,8 @@ use super::mesh_cells::{cells_of_box, corner, corners, with_all_corners};
 use super::surfaces::ShapedParticles;
 use super::{CheckedRegion, ExclusionMask, ParticlesOutside};
 use crate::cancel::checkpoint;
-use crate::grid::{Field, LEAF_EDGE, LeafMask, Topology, offset_in_leaf};
-use crate::level_set::NarrowBand;
+use crate::grid::{LEAF_EDGE, Leaf, LeafMask, Topology, offset_in_leaf};
+use crate::level_set::{Bounds, NarrowBand};
 use crate::obstacle::ROUNDING_MAX;
 use crate::parallel::Loops as _;
 use crate::particles::{AnySource, Unread};
@@ -388,7 +388,7 @@ fn moved_particles(
 }
 
 /// The moved particles whose input position may be outside the surface, batch by batch. The smoothing of the
-/// level set keeps φ ≤ `upper`, a field on `topology`. Afterwards `offset`, in voxels, is subtracted from φ,
+/// level set keeps φ within `bounds`, on `topology`. Afterwards `offset`, in voxels, is subtracted from φ,
 /// and if `has_obstacles` is true, the fluid is cut off at these, which may raise φ to zero if it is above
 /// −[`ROUNDING_MAX`].
 ///
@@ -398,19 +398,20 @@ pub fn possibly_outside(
     source: &AnySource<'_>,
     scene: &RasterParams,
     topology: &Topology,
-    upper: &Field,
+    bounds: &Bounds,
 ) -> Result<Vec<Vec<MovedParticle>>, Unread> {
     if !source.is_smoothed() {
         return Ok(Vec::new());
     }
     let (offset, has_obstacles) = (scene.radii.offset, !scene.obstacles.is_empty());
     let least = offset.min(0.0) - if has_obstacles { ROUNDING_MAX } else { 0.0 };
-    let is_doubtful = |particle: &MovedParticle| match particle.corner_values(topology, upper) {
-        // φ is at most `upper`. Rounding is monotonic, so the interpolated φ is at most the interpolated
-        // `upper`, too.
+    let leaf_of = |leaf| bounds.of_leaf(leaf)[1];
+    let is_doubtful = |particle: &MovedParticle| match particle.corner_values(topology, leaf_of) {
+        // φ is at most its upper bound. Rounding is monotonic, so the interpolated φ is at most the interpolated
+        // bound, too.
         Some(corners) if offset == 0.0 && !has_obstacles => particle.interpolated(corners) > 0.0,
         Some(corners) => corners.iter().any(|value| *value >= least),
-        None => particle.first_stored(topology, upper).is_some(),
+        None => particle.first_stored(topology, leaf_of).is_some(),
     };
     let of_batch = |batch| {
         let mut doubtful: Vec<_> =
@@ -480,9 +481,10 @@ impl OutsideCount {
 
 impl MovedParticle {
     fn count_outside(&self, band: &NarrowBand, offset: f32, exempt: &dyn ExclusionMask) -> OutsideCount {
-        let phi = match self.corner_values(&band.topology, &band.phi) {
+        let leaf_of = |leaf: usize| &band.phi.leaves[leaf];
+        let phi = match self.corner_values(&band.topology, leaf_of) {
             Some(corners) => self.interpolated(corners),
-            None => match self.first_stored(&band.topology, &band.phi) {
+            None => match self.first_stored(&band.topology, leaf_of) {
                 Some(value) if value > 0.0 => f32::INFINITY,
                 _ => 0.0,
             },
@@ -497,11 +499,15 @@ impl MovedParticle {
     }
 
     /// The values at the corners of the cell of the input position; `None` unless all are stored.
-    fn corner_values(&self, topology: &Topology, field: &Field) -> Option<[f32; 8]> {
+    fn corner_values<'a>(
+        &self,
+        topology: &Topology,
+        leaf_of: impl Fn(usize) -> &'a Leaf,
+    ) -> Option<[f32; 8]> {
         let cell = self.origin + self.local.floor().as_ivec3();
         let mut values = [0.0; 8];
         for (number, value) in values.iter_mut().enumerate() {
-            *value = value_at(topology, field, cell + corner(number))?;
+            *value = value_at(topology, &leaf_of, cell + corner(number))?;
         }
         Some(values)
     }
@@ -516,13 +522,13 @@ impl MovedParticle {
     }
 
     /// The value of the first stored voxel on the way to the moved particle.
-    fn first_stored(&self, topology: &Topology, field: &Field) -> Option<f32> {
+    fn first_stored<'a>(&self, topology: &Topology, leaf_of: impl Fn(usize) -> &'a Leaf) -> Option<f32> {
         // The steps are shorter than the width of a band, so none of the steps jumps over one.
         let step_count = self.moved.length().ceil().min(STEPS_MAX) as u32;
         (0..=step_count).find_map(|step| {
             let part = step as f32 / step_count.max(1) as f32;
             let voxel = self.origin + (self.local + part * self.moved).round().as_ivec3();
-            value_at(topology, field, voxel)
+            value_at(topology, &leaf_of, voxel)
         })
     }
 }
@@ -531,9 +537,9 @@ impl MovedParticle {
 /// toward neighbours within 200 voxels, so it moves no farther than that.
 const STEPS_MAX: f32 = 1024.0;
 
-fn value_at(topology: &Topology, field: &Field, voxel: IVec3) -> Option<f32> {
+fn value_at<'a>(topology: &Topology, leaf_of: &impl Fn(usize) -> &'a Leaf, voxel: IVec3) -> Option<f32> {
     let (leaf, local) = topology.find_voxel(voxel)?;
-    Some(field.leaves[leaf].values[offset_in_leaf(local)])
+    Some(leaf_of(leaf).values[offset_in_leaf(local)])
 }
 
 #[cfg(test)]
