@@ -137,7 +137,7 @@ fn noisy_sphere(field: impl Fn(f32, glam::Vec3) -> f32) -> (NarrowBand, Bounds) 
             *value = field(*value + 2.0 * random.unit() as f32 - 1.0, at).clamp(-HALF_WIDTH, HALF_WIDTH);
         }
     }
-    let bounds = Bounds { lower: sphere(BOUND_RADII[1]), upper: sphere(BOUND_RADII[0]) };
+    let bounds = Bounds::new(sphere(BOUND_RADII[1]), sphere(BOUND_RADII[0]));
     (NarrowBand { topology: Arc::new(topology), phi, half_width: HALF_WIDTH }, bounds)
 }
 

@@ -4,11 +4,12 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
+use crate::surface::Storage;
 use crate::surface::options::Settings;
 use crate::surface::particles::ParticleCloud;
 use crate::surface::reconstruction::{
     self, FrameSurface, MemoryPlan, MemoryPlanError, PlanInputs, ShapedSource, StageError, StagedFrame,
-    Storage, Targets, TileStorage, TooLarge,
+    Targets, TileStorage, TooLarge,
 };
 use crate::surface::report::ShapeStats;
 
@@ -103,7 +104,7 @@ pub(crate) fn rasterize(
     let tiles = plan.tile_leaves.map(|leaves| TileStorage::new(leaves, || ScratchFile::storage(scratch)));
     let tiles = tiles.transpose().map_err(Cause::Scratch)?;
     let frame = StagedFrame::rasterize(particles, shape_stats, obstacles.obstacles, settings, tiles)?;
-    // Contouring a frame in tiles reads the file again and repeats this check. But smoothing takes a while,
+    // Contouring a frame in tiles may read the file again and repeats this check. But smoothing takes a while,
     // so a change is detected now.
     require_unchanged(file.as_deref())?;
     Ok(frame)

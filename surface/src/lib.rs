@@ -65,10 +65,10 @@ pub use self::{
         MethodOptions as Options, PerParticleRadius, Preset, Settings, SettingsError,
     },
     particles::{Attribute, AttributeValues, ParticleFilter, Positions, Role},
-    reconstruction::Storage,
     report::{EditReport, Phase, ReconstructionReport as Report, ShapeStats, TransferReport},
     smooth::{Convergence, Integrator, SmoothReport},
     spacing::{SequenceEstimate, SpacingEstimate, combine_estimates, estimate_spacing},
+    storage::Storage,
     validation::{Certificate, ParticlesOutside},
 };
 
@@ -128,6 +128,8 @@ pub mod space;
 
 #[doc(hidden)]
 pub mod simd;
+
+mod storage;
 
 #[doc(hidden)]
 pub mod words;

@@ -19,10 +19,11 @@ use crate::parallel::Loops as _;
 use crate::particles::{Attribute, OwnedPositions, ParticleSource, Positions, Shapes, find_attribute};
 use crate::reconstruction::{
     self, MemoryPlan, MemoryPlanError, PlanInputs, PrecisionLimit, ShapedSource, StageError, StagedFrame,
-    Storage, Targets, TileStorage, VoxelTooSmall,
+    Targets, TileStorage, VoxelTooSmall,
 };
 use crate::report::Phase;
 use crate::spacing::{estimate_spacing, median, rounded};
+use crate::storage::Storage;
 use crate::temporal::{OtherFrame, TimedFrame};
 use crate::{Options, Report};
 
@@ -206,7 +207,7 @@ impl<'a> Reconstructor<'a> {
         self
     }
 
-    /// Sets where to store what does not fit into the memory limit. For such a frame, `make` is called eight
+    /// Sets where to store what does not fit into the memory limit. For such a frame, `make` is called nine
     /// times, usually to create temporary files, which are dropped with the frame. The surface is
     /// bit-identical to that computed in memory. The integrators
     /// [`Implicit`](crate::Integrator::Implicit) and

@@ -13,6 +13,7 @@
 
 use std::ops::Range;
 
+use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
 /// The shapes of the particles of a frame.
@@ -81,7 +82,8 @@ impl Shapes {
 ///
 /// It is stored as the symmetric matrix T that maps it to the unit ball. The eigenvalues of T are 1/a, 1/b,
 /// 1/c for semi-axes a, b and c.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
 pub struct Ellipsoid {
     /// T: xx, yy, zz, xy, xz, yz.
     pub to_unit_ball: [f32; 6],

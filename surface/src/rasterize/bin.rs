@@ -15,6 +15,7 @@
 //! plus twice the particles that are kept. If a file has very many batches, consecutive batches are merged
 //! first. Their memory blocks are then so large that freeing them returns the memory to the system.
 
+use std::io;
 use std::ops::Range;
 
 use glam::{DVec3, IVec3, Vec3};
@@ -30,6 +31,7 @@ use crate::parallel::Loops as _;
 use crate::particles::{AnySource, Ellipsoid, Positions, Shapes, Unread};
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::{INDEX_LIMIT, Lattice};
+use crate::storage::{Storage, StorageCursor};
 
 /// The particles that can affect the surface, sorted by leaf.
 ///
@@ -139,6 +141,63 @@ impl ParticleBins {
     /// True if no particle was kept: the source has none, or all were dropped.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
+    }
+}
+
+/// [`ParticleBins`] in a storage.
+pub struct StoredBins {
+    /// The offset of the first byte.
+    start: u64,
+    /// The offset after the last byte.
+    pub end: u64,
+    /// The numbers of leaves, kept particles and deep leaves.
+    counts: [usize; 3],
+    /// The numbers of scales and of ellipsoids, one of which is 0.
+    shape_counts: [usize; 2],
+}
+
+impl StoredBins {
+    /// Writes bins, without what they say of particles that are not kept.
+    ///
+    /// # Errors
+    /// Those of the storage.
+    pub fn write(bins: &ParticleBins, storage: &dyn Storage, start: u64) -> io::Result<StoredBins> {
+        let mut cursor = StorageCursor { storage, offset: start };
+        let deep: Vec<IVec3> = bins.deep.iter().copied().collect();
+        cursor.write(bins.topology.origins())?;
+        cursor.write(&bins.starts)?;
+        cursor.write(&bins.positions)?;
+        cursor.write(&deep)?;
+        let (scales, ellipsoids): (&[f32], &[Ellipsoid]) = match &bins.shapes {
+            Shapes::Uniform => (&[], &[]),
+            Shapes::Scaled(scales) => (scales, &[]),
+            Shapes::Ellipsoids(ellipsoids) => (&[], ellipsoids),
+        };
+        cursor.write(scales)?;
+        cursor.write(ellipsoids)?;
+        let counts = [bins.topology.len(), bins.len(), deep.len()];
+        Ok(StoredBins { start, end: cursor.offset, counts, shape_counts: [scales.len(), ellipsoids.len()] })
+    }
+
+    /// Reads the bins.
+    ///
+    /// # Errors
+    /// Those of the storage.
+    pub fn read(&self, storage: &dyn Storage) -> io::Result<ParticleBins> {
+        let mut cursor = StorageCursor { storage, offset: self.start };
+        let [leaf_count, particle_count, deep_count] = self.counts;
+        Ok(ParticleBins {
+            topology: Topology::new(cursor.read(leaf_count)?),
+            starts: cursor.read(leaf_count + 1)?,
+            positions: cursor.read(particle_count)?,
+            deep: cursor.read(deep_count)?.into_iter().collect(),
+            shapes: match self.shape_counts {
+                [0, 0] => Shapes::Uniform,
+                [count, 0] => Shapes::Scaled(cursor.read(count)?),
+                [_, count] => Shapes::Ellipsoids(cursor.read(count)?),
+            },
+            ..ParticleBins::default()
+        })
     }
 }
 

@@ -37,7 +37,7 @@ use std::sync::Arc;
 use glam::IVec3;
 use rayon::prelude::*;
 
-pub use bin::ParticleBins;
+pub use bin::{ParticleBins, StoredBins};
 pub use footprint::{Footprint, NearSurface, footprint};
 pub use occupancy::Occupancy;
 pub use vicinity::{GatherBlock, Gathered, Vicinity};
@@ -244,21 +244,6 @@ pub fn rasterize_window(
     let regions = Regions::new(window, scene.radii, occupancy.longest());
     let measured = measure(source, occupancy, scene, &regions)?;
     Ok(level_sets(measured, scene, &regions))
-}
-
-/// The particles that contribute to a window.
-///
-/// # Errors
-/// Returns the source's error if a batch cannot be read.
-pub fn particles_in_window(
-    source: &AnySource<'_>,
-    occupancy: &Occupancy,
-    scene: &RasterParams,
-    window: CoordBox,
-) -> Result<ParticleBins, Unread> {
-    let regions = Regions::new(window, scene.radii, occupancy.longest());
-    let culling = Culling::new(occupancy, scene, &regions);
-    ParticleBins::new(source, &scene.lattice, occupancy, &culling, &regions)
 }
 
 /// The leaves around the surface, with the distances from their voxels to the particles.

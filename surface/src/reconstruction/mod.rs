@@ -22,7 +22,6 @@ pub use plan::{
 pub(crate) use shape::shapes_by_attributes;
 pub use shape::{ShapedSource, shape_by_attributes, shape_by_neighbors, shape_particles};
 pub use staged::{StageError, StagedFrame, TileStorage};
-pub use tiles::Storage;
 
 use crate::attributes::{BandAttribute, Support, interpolate_to_band, interpolate_to_vertices};
 use crate::grid::Leaf;

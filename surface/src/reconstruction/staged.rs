@@ -5,7 +5,7 @@
 //!   level set ──bound──────▶
 //! ```
 //!
-//! A frame in tiles keeps its fields in files, and reads its particles again to contour. The surface is
+//! A frame in tiles keeps its fields and the particles near its surface in files. The surface is
 //! bit-identical to that in memory; `tiles.rs` explains why.
 
 use std::borrow::Cow;
@@ -18,7 +18,7 @@ use glam::{DVec3, IVec3, Vec3};
 
 use super::band::BoundedBand;
 use super::postprocess::{self, SurfaceExclusions};
-use super::tiles::{self, FieldStore, HALO_LEAVES, Storage, Tiling, tile_voxels, tiles_around};
+use super::tiles::{self, FieldStore, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
 use super::{
     FrameSurface, SurfaceAttributes, inside_obstacles, lattice, raster_params, reach_of_particles,
     smooth_config,
@@ -30,10 +30,11 @@ use crate::motion::MovingParticles;
 use crate::obstacle::{ContactStats, Obstacles};
 use crate::options::Settings;
 use crate::particles::{AnySource, ParticleSource, Unread, erased};
-use crate::rasterize::{self, Occupancy, ParticleBins, RasterFields, RasterParams};
+use crate::rasterize::{self, Occupancy, ParticleBins, RasterFields, RasterParams, StoredBins};
 use crate::report::{ReconstructionReport, ShapeStats, SmoothReport};
 use crate::smooth;
 use crate::space::CoordBox;
+use crate::storage::Storage;
 use crate::temporal::{self, OtherFrame, TemporalConfig, TimedFrame};
 use crate::validation::{
     CheckedRegion, Checks, ExclusionMask, MeshCells, MovedParticle, ParticlesOutside, check,
@@ -64,10 +65,7 @@ struct WholeFields {
 }
 
 struct TiledFields {
-    occupancy: Occupancy,
-    /// The tiles with particles in or near them.
-    tiles: BTreeSet<[i32; 3]>,
-    tile_leaves: i32,
+    particles: TileParticles,
     store: FieldStore,
     tiling: Tiling,
     half_width: f32,
@@ -77,19 +75,20 @@ struct TiledFields {
 pub struct TileStorage {
     tile_leaves: i32,
     store: FieldStore,
+    particles: Box<dyn Storage>,
 }
 
 impl TileStorage {
     /// Storage for tiles that are cubes of this many leaves along each edge. `make` makes one file, and is
-    /// called eight times.
+    /// called nine times.
     ///
     /// # Errors
     /// Those of `make`.
     pub fn new(
         tile_leaves: i32,
-        make: impl FnMut() -> io::Result<Box<dyn Storage>>,
+        mut make: impl FnMut() -> io::Result<Box<dyn Storage>>,
     ) -> io::Result<TileStorage> {
-        Ok(TileStorage { tile_leaves, store: FieldStore::new(make)? })
+        Ok(TileStorage { tile_leaves, particles: make()?, store: FieldStore::new(make)? })
     }
 }
 
@@ -261,12 +260,11 @@ impl<S: ParticleSource> StagedFrame<S> {
             StagedFields::Tiled(fields, source) => {
                 let surface = with_any(&source, |source| {
                     report.certificate.bound_violation_count = fields.bound_violation_count()?;
-                    let TiledFields { occupancy, tiles, tile_leaves, store, tiling, half_width } = *fields;
+                    let TiledFields { particles, store, tiling, half_width } = *fields;
                     let phi = store.read(0, &tiling.all_slots())?;
                     drop(store);
                     let band = NarrowBand { topology: Arc::new(tiling.topology), phi, half_width };
-                    let particles = TileParticles { source, occupancy, scene, tiles, tile_leaves };
-                    Ok(contour_within(band, &particles, scene, settings, rounding, report)?)
+                    contour_within(band, &(particles, source), scene, settings, rounding, report)
                 })?;
                 Ok((surface, Some(source)))
             }
@@ -316,7 +314,7 @@ impl TiledFields {
     fn rasterize(
         source: &AnySource<'_>,
         scene: &RasterParams,
-        TileStorage { tile_leaves, store }: TileStorage,
+        TileStorage { tile_leaves, store, particles: storage }: TileStorage,
     ) -> Result<(TiledFields, ReconstructionReport), StageError<Unread>> {
         let occupancy = Occupancy::new(source, &scene.lattice)?;
         let half_width = scene.radii.half_width();
@@ -324,13 +322,15 @@ impl TiledFields {
         let tiles = tiles_near(&occupancy, tile_leaves, surface_reach.ceil() as i32 + 1);
         let mut origins: Vec<IVec3> = Vec::new();
         let mut contact = ContactStats::default();
-        for &tile in &tiles {
+        let mut particles = TileParticles { storage, tiles: Vec::new() };
+        for tile in tiles {
             let window = tile_voxels(IVec3::from(tile), tile_leaves);
             let rasterized = rasterize::rasterize_window(source, &occupancy, scene, window)?;
             contact = contact.merge(rasterized.contact);
             let [lower, upper] = rasterized.bounds.to_fields();
             store.put(origins.len(), [&rasterized.band.phi, &lower, &upper])?;
             origins.extend_from_slice(rasterized.band.topology.origins());
+            particles.push(window, &rasterized.bins)?;
         }
         contact.particle_count = inside_obstacles(source, scene)?;
         let report = ReconstructionReport {
@@ -342,7 +342,7 @@ impl TiledFields {
             ..ReconstructionReport::default()
         };
         let tiling = Tiling::new(&origins, tile_leaves, HALO_LEAVES);
-        Ok((TiledFields { occupancy, tiles, tile_leaves, store, tiling, half_width }, report))
+        Ok((TiledFields { particles, store, tiling, half_width }, report))
     }
 
     /// Number of values outside their bounds.
@@ -425,28 +425,34 @@ impl NearParticles for WholeParticles {
     }
 }
 
-/// Those of a frame in tiles, read again for each tile.
-struct TileParticles<'a> {
-    source: &'a AnySource<'a>,
-    occupancy: Occupancy,
-    scene: &'a RasterParams<'a>,
-    tiles: BTreeSet<[i32; 3]>,
-    tile_leaves: i32,
+/// Those of a frame in tiles.
+struct TileParticles {
+    storage: Box<dyn Storage>,
+    /// The voxels of each tile, and the particles in and around it.
+    tiles: Vec<(CoordBox, StoredBins)>,
 }
 
-impl NearParticles for TileParticles<'_> {
-    type Error = Unread;
+impl TileParticles {
+    fn push(&mut self, tile: CoordBox, bins: &ParticleBins) -> io::Result<()> {
+        let start = self.tiles.last().map_or(0, |(_, last)| last.end);
+        self.tiles.push((tile, StoredBins::write(bins, &*self.storage, start)?));
+        Ok(())
+    }
+}
 
-    fn for_each_part(&self, work: &mut dyn FnMut(CoordBox, &ParticleBins)) -> Result<(), Unread> {
-        for &tile in &self.tiles {
-            let owned = tile_voxels(IVec3::from(tile), self.tile_leaves);
-            let bins = rasterize::particles_in_window(self.source, &self.occupancy, self.scene, owned)?;
-            work(owned, &bins);
+/// With the source of all particles.
+impl NearParticles for (TileParticles, &AnySource<'_>) {
+    type Error = StageError<Unread>;
+
+    fn for_each_part(&self, work: &mut dyn FnMut(CoordBox, &ParticleBins)) -> Result<(), Self::Error> {
+        let (TileParticles { storage, tiles }, _) = self;
+        for (tile, stored) in tiles {
+            work(*tile, &stored.read(&**storage)?);
         }
         Ok(())
     }
 
-    fn leaves(&self) -> Result<Vec<ParticleLeaf<'_>>, Unread> {
+    fn leaves(&self) -> Result<Vec<ParticleLeaf<'_>>, Self::Error> {
         let mut leaves = Vec::new();
         self.for_each_part(&mut |owned, bins| {
             let own = bins.leaves().filter(|(origin, _)| owned.contains(*origin));
@@ -460,11 +466,12 @@ impl NearParticles for TileParticles<'_> {
         band: &NarrowBand,
         scene: &RasterParams,
         exempt: &dyn ExclusionMask,
-    ) -> Result<Option<ParticlesOutside>, Unread> {
-        if !self.source.is_smoothed() {
+    ) -> Result<Option<ParticlesOutside>, Self::Error> {
+        let &(_, source) = self;
+        if !source.is_smoothed() {
             return Ok(None);
         }
-        count_inputs_outside_of_source(self.source, band, scene, exempt).map(Some)
+        Ok(Some(count_inputs_outside_of_source(source, band, scene, exempt)?))
     }
 }
 

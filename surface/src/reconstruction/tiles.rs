@@ -27,6 +27,7 @@ use crate::smooth::{
     FieldSet, SmoothConfig, SmoothContext, SmoothOp, SmoothReport, SmoothStats, Workspace, schedule,
 };
 use crate::space::CoordBox;
+use crate::storage::Storage;
 
 /// Number of leaves around a tile that are read with it.
 pub(super) const HALO_LEAVES: i32 = 6;
@@ -211,22 +212,6 @@ fn apply(
 //
 // A tile must read the values that its neighbors had before the current operation, in whatever order tiles
 // are processed. So the fields that change are double-buffered.
-
-/// Random-access storage for data that does not fit into memory, usually a temporary file. Offsets are
-/// absolute. Calls may come from several threads. Callers only read bytes that were written.
-pub trait Storage: Send + Sync {
-    /// Reads `bytes.len()` bytes at `offset`.
-    ///
-    /// # Errors
-    /// Returns the error of the operating system.
-    fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()>;
-
-    /// Writes `bytes` at `offset`.
-    ///
-    /// # Errors
-    /// Returns the error of the operating system, such as a full disk.
-    fn write(&self, offset: u64, bytes: &[u8]) -> io::Result<()>;
-}
 
 /// The fields of a frame, with one storage for each file in the drawing above.
 pub(super) struct FieldStore {
