@@ -29,15 +29,47 @@ pub(crate) struct StorageCursor<'a> {
 
 impl StorageCursor<'_> {
     pub(crate) fn write<T: Pod>(&mut self, values: &[T]) -> io::Result<()> {
-        self.storage.write(self.offset, bytemuck::cast_slice(values))?;
+        if !values.is_empty() {
+            self.storage.write(self.offset, bytemuck::cast_slice(values))?;
+        }
         self.offset += size_of_val(values) as u64;
         Ok(())
     }
 
     pub(crate) fn read<T: Pod>(&mut self, count: usize) -> io::Result<Vec<T>> {
-        let mut values = vec![T::zeroed(); count];
-        self.storage.read(self.offset, bytemuck::cast_slice_mut(&mut values))?;
+        let mut values = bytemuck::zeroed_vec(count);
+        if count > 0 {
+            self.storage.read(self.offset, bytemuck::cast_slice_mut(&mut values))?;
+        }
         self.offset += size_of_val(&*values) as u64;
         Ok(values)
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use std::sync::Mutex;
+
+    use super::*;
+
+    /// A storage in memory.
+    #[derive(Default)]
+    pub(crate) struct InMemory(Mutex<Vec<u8>>);
+
+    impl Storage for InMemory {
+        fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()> {
+            let (stored, from) = (self.0.lock().unwrap(), offset as usize);
+            let stored_bytes = stored.get(from..from + bytes.len()).ok_or(io::ErrorKind::UnexpectedEof)?;
+            bytes.copy_from_slice(stored_bytes);
+            Ok(())
+        }
+
+        fn write(&self, offset: u64, bytes: &[u8]) -> io::Result<()> {
+            let (mut stored, from) = (self.0.lock().unwrap(), offset as usize);
+            let end = stored.len().max(from + bytes.len());
+            stored.resize(end, 0);
+            stored[from..from + bytes.len()].copy_from_slice(bytes);
+            Ok(())
+        }
     }
 }

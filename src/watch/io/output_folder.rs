@@ -98,7 +98,8 @@ impl OutputFolderWorker {
         for problem in records.problems() {
             tracing::warn!(folder = %folder.display(), "{problem}: converting the frames that are recorded there again");
         }
-        // Now, while what they say is known: if the file is removed later, all of it is written again.
+        // Opens the file of this process now, while its records are in memory: if it is removed later, they are all
+        // written again.
         let failure = records.prepare().err();
         if let Some(error) = &failure {
             tracing::warn!(folder = %folder.display(), "cannot write records: {error}");

@@ -62,7 +62,7 @@ impl NarrowBand {
 /// signed distances near the surface of their union, and open farther away.
 #[derive(Clone, Debug)]
 pub struct Bounds {
-    /// Bounds of leaves, in voxels. Those with one value everywhere are stored once.
+    /// Bounds of leaves, in voxels. Leaves with the same single value are stored once.
     leaves: Vec<Leaf>,
     /// For each leaf of the topology, where its lower and its upper bounds are in `leaves`.
     places: Vec<[u32; 2]>,
@@ -339,6 +339,19 @@ mod tests {
 
     use super::*;
     use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, offset_in_leaf, voxel_in_leaf};
+
+    #[test]
+    fn bounds_share_leaves_with_one_value() {
+        let varied = |shift: f32| Leaf { values: std::array::from_fn(|offset| offset as f32 + shift) };
+        let lower = [Leaf::splat(-5.0), varied(0.0), Leaf::splat(1.5), Leaf::splat(-5.0), Leaf::splat(-0.0)];
+        let upper = [Leaf::splat(5.0), varied(0.5), Leaf::splat(1.5), varied(1.0), Leaf::splat(0.0)];
+        let [lower, upper] = [lower, upper].map(|leaves| Field { leaves: leaves.to_vec() });
+        let bounds = Bounds::new(lower.clone(), upper.clone());
+        assert_eq!(bounds.leaves.len(), 8);
+        assert_eq!(bounds.to_fields(), [lower, upper]);
+        assert!(bounds.of_leaf(4)[0].values[0].is_sign_negative());
+        assert!(bounds.of_leaf(4)[1].values[0].is_sign_positive());
+    }
 
     const HALF_WIDTH: f32 = 7.0;
 

@@ -509,6 +509,40 @@ impl<T: Copy + Into<f64>> Kernel for ToLeafCoords<'_, T> {
 mod tests {
     use super::*;
     use crate::particles::{OwnedPositions, ParticleSource};
+    use crate::storage::tests::InMemory;
+
+    #[test]
+    fn stored_bins_are_read_as_they_were() {
+        let ellipsoid = |index: u8| Ellipsoid { longest: f32::from(index), ..Ellipsoid::ball(1.0) };
+        let storage = InMemory::default();
+        let mut end = 0;
+        let mut all = Vec::new();
+        for shapes in [
+            Shapes::Uniform,
+            Shapes::Scaled(vec![0.5, 2.0, 3.0]),
+            Shapes::Ellipsoids([7, 8, 9].map(ellipsoid).to_vec()),
+        ] {
+            let bins = ParticleBins {
+                topology: Topology::new(vec![IVec3::ZERO, IVec3::new(8, 0, -16)]),
+                starts: vec![0, 1, 3],
+                positions: [1.5, 2.5, 3.5].map(Vec3::splat).to_vec(),
+                shapes,
+                deep: [IVec3::splat(8), IVec3::splat(-8)].into_iter().collect(),
+                ..ParticleBins::default()
+            };
+            for bins in [bins, ParticleBins { starts: vec![0], ..ParticleBins::default() }] {
+                let stored = StoredBins::write(&bins, &storage, end).expect("in memory");
+                end = stored.end;
+                all.push((bins, stored));
+            }
+        }
+        for (bins, stored) in all {
+            let found = stored.read(&storage).expect("in memory");
+            assert_eq!(found.topology.origins(), bins.topology.origins());
+            assert_eq!((found.starts, found.positions), (bins.starts, bins.positions));
+            assert_eq!((found.shapes, found.deep), (bins.shapes, bins.deep));
+        }
+    }
 
     #[test]
     fn batch_leaves_match_the_lattice() {

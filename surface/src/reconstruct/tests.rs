@@ -11,6 +11,7 @@ use super::*;
 use crate::options::{AnisotropyKind, AttributeSelection, ClipBox, Integrator, LengthUnit, Preset};
 use crate::particles::{AttributeValues, OwnedPositions, Role};
 use crate::reconstruction::reconstruct_frame;
+use crate::storage::tests::InMemory;
 
 /// A block of particles, 1 apart, with this lower corner.
 fn block(edge: usize, corner: [f64; 3]) -> Vec<[f64; 3]> {
@@ -97,26 +98,6 @@ fn phases_are_reported_in_order_and_each_can_be_cancelled() {
                 assert!(!speeds.is_empty() && speeds.iter().all(|speed| *speed == 1.0));
             }
         }
-    }
-}
-
-/// Storage in a vector.
-#[derive(Default)]
-struct InMemory(Mutex<Vec<u8>>);
-
-impl Storage for InMemory {
-    fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()> {
-        let (stored, from) = (self.0.lock().unwrap(), offset as usize);
-        bytes.copy_from_slice(stored.get(from..from + bytes.len()).ok_or(io::ErrorKind::UnexpectedEof)?);
-        Ok(())
-    }
-
-    fn write(&self, offset: u64, bytes: &[u8]) -> io::Result<()> {
-        let (mut stored, from) = (self.0.lock().unwrap(), offset as usize);
-        let end = stored.len().max(from + bytes.len());
-        stored.resize(end, 0);
-        stored[from..from + bytes.len()].copy_from_slice(bytes);
-        Ok(())
     }
 }
 

@@ -38,9 +38,8 @@ const MARGIN: f32 = 5.0;
 /// A level set between two stages, with the bounds that its surface must keep.
 pub(super) struct BoundedBand {
     pub(super) band: NarrowBand,
-    pub(super) bounds: Bounds,
-    /// In voxels.
-    pub(super) max_deviation: f32,
+    /// `None` if the surface is not smoothed.
+    pub(super) bounds: Option<Bounds>,
     translation: DVec3,
 }
 
@@ -53,12 +52,13 @@ impl BoundedBand {
         settings: &Settings,
     ) -> BoundedBand {
         let max_deviation = max_deviation_voxels.clamp(0.0, DEVIATION_MAX_VOXELS);
-        let band = match working_half_width(band.half_width, max_deviation, offset_voxels(settings)) {
-            Some(half_width) => widened(&band, half_width),
-            None => band,
-        };
-        let bounds = Bounds::new(moved(&band.phi, -max_deviation), moved(&band.phi, max_deviation));
-        BoundedBand { band, bounds, max_deviation, translation }
+        let half_width = working_half_width(band.half_width, max_deviation, offset_voxels(settings));
+        let wide = half_width.map(|half_width| widened(&band, half_width));
+        // Drops the given band, before there are more fields.
+        let band = wide.unwrap_or(band);
+        let bounds = || Bounds::new(moved(&band.phi, -max_deviation), moved(&band.phi, max_deviation));
+        let bounds = (max_deviation > 0.0).then(bounds);
+        BoundedBand { band, bounds, translation }
     }
 
     /// Third stage: the mesh with rounded positions, and its validation.
@@ -69,8 +69,8 @@ impl BoundedBand {
         mut report: ReconstructionReport,
     ) -> FrameSurface {
         let BoundedBand { mut band, bounds, translation, .. } = self;
-        report.certificate.bound_violation_count = bounds.violation_count(&band.phi);
-        drop(bounds);
+        report.certificate.bound_violation_count =
+            bounds.map_or(0, |bounds| bounds.violation_count(&band.phi));
         let offset = offset_voxels(settings);
         if offset != 0.0 {
             let half_width = band.half_width - offset.abs().ceil();

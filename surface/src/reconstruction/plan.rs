@@ -193,8 +193,8 @@ pub(super) fn mesh_bytes(settings: &Settings) -> f64 {
     }
 }
 
-/// Memory per leaf that contains particles, in bytes, while culling. A tiled frame keeps
-/// [`occupied_leaf_bytes`] of it. For anisotropic particles, each leaf also stores the octants of the round
+/// Memory per leaf that contains particles, in bytes, while culling. A frame in
+/// tiles keeps [`occupied_leaf_bytes`] of it while it is rasterized; plans count them for all stages. For anisotropic particles, each leaf also stores the octants of the round
 /// ones.
 fn sorted_leaf_bytes(settings: &Settings) -> f64 {
     1000.0 + round_octants_bytes(settings)
@@ -330,7 +330,7 @@ fn least_bytes(footprint: &Footprint, settings: &Settings) -> u64 {
     (FIELD_BYTES * 2.0 * surface + kept_bytes(surface, occupied, settings)) as u64
 }
 
-/// Memory that a frame in tiles keeps from tile to tile.
+/// Memory that a frame in tiles keeps from tile to tile; plans count it for all stages.
 fn kept_bytes(surface: f64, occupied: f64, settings: &Settings) -> f64 {
     occupied_leaf_bytes(settings) * occupied + TOPOLOGY_LEAF_BYTES as f64 * 2.0 * surface
 }

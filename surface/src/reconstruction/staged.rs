@@ -71,7 +71,7 @@ struct TiledFields {
     half_width: f32,
 }
 
-/// Where a frame in tiles keeps its fields.
+/// Where a frame in tiles keeps its fields and particles.
 pub struct TileStorage {
     tile_leaves: i32,
     store: FieldStore,
@@ -185,10 +185,10 @@ impl<S: ParticleSource> StagedFrame<S> {
                 let TiledFields { store, tiling, half_width, .. } = &mut **fields;
                 (tiles::smooth(store, tiling, *half_width, &config, advanced)?, reach_before)
             }
-            StagedFields::LevelSet(given) if given.max_deviation > 0.0 => {
-                (smooth::smooth(&mut given.band, &given.bounds, &config, advanced), 0)
+            StagedFields::LevelSet(given) => {
+                let Some(bounds) = &given.bounds else { return Ok(self) };
+                (smooth::smooth(&mut given.band, bounds, &config, advanced), 0)
             }
-            StagedFields::LevelSet(_) => return Ok(self),
         };
         let reach_voxels = smoothed.reach_voxels.map(|reach| reach.saturating_add(reach_before));
         self.report.smoothing = SmoothReport { reach_voxels, ..smoothed };
@@ -264,7 +264,14 @@ impl<S: ParticleSource> StagedFrame<S> {
                     let phi = store.read(0, &tiling.all_slots())?;
                     drop(store);
                     let band = NarrowBand { topology: Arc::new(tiling.topology), phi, half_width };
-                    contour_within(band, &(particles, source), scene, settings, rounding, report)
+                    contour_within(
+                        band,
+                        &StoredParticles { particles, source },
+                        scene,
+                        settings,
+                        rounding,
+                        report,
+                    )
                 })?;
                 Ok((surface, Some(source)))
             }
@@ -425,7 +432,7 @@ impl NearParticles for WholeParticles {
     }
 }
 
-/// Those of a frame in tiles.
+/// The particles near the surface of a frame in tiles.
 struct TileParticles {
     storage: Box<dyn Storage>,
     /// The voxels of each tile, and the particles in and around it.
@@ -440,12 +447,17 @@ impl TileParticles {
     }
 }
 
-/// With the source of all particles.
-impl NearParticles for (TileParticles, &AnySource<'_>) {
+/// The stored particles of a frame in tiles, and the source of all its particles.
+struct StoredParticles<'a> {
+    particles: TileParticles,
+    source: &'a AnySource<'a>,
+}
+
+impl NearParticles for StoredParticles<'_> {
     type Error = StageError<Unread>;
 
     fn for_each_part(&self, work: &mut dyn FnMut(CoordBox, &ParticleBins)) -> Result<(), Self::Error> {
-        let (TileParticles { storage, tiles }, _) = self;
+        let TileParticles { storage, tiles } = &self.particles;
         for (tile, stored) in tiles {
             work(*tile, &stored.read(&**storage)?);
         }
@@ -467,11 +479,10 @@ impl NearParticles for (TileParticles, &AnySource<'_>) {
         scene: &RasterParams,
         exempt: &dyn ExclusionMask,
     ) -> Result<Option<ParticlesOutside>, Self::Error> {
-        let &(_, source) = self;
-        if !source.is_smoothed() {
+        if !self.source.is_smoothed() {
             return Ok(None);
         }
-        Ok(Some(count_inputs_outside_of_source(source, band, scene, exempt)?))
+        Ok(Some(count_inputs_outside_of_source(self.source, band, scene, exempt)?))
     }
 }
 
@@ -514,8 +525,6 @@ fn contour_within<P: NearParticles>(
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Mutex;
-
     use glam::DVec3;
 
     use super::*;
@@ -523,27 +532,7 @@ mod tests {
     use crate::options::{AnisotropyKind, ClipBox, Integrator, MethodOptions};
     use crate::particles::{Attribute, AttributeValues, OwnedPositions, ParticleCloud, Role};
     use crate::reconstruction::{reconstruct_frame, reconstruct_shaped, shape_particles};
-
-    /// A storage in memory.
-    #[derive(Default)]
-    struct InMemory(Mutex<Vec<u8>>);
-
-    impl Storage for InMemory {
-        fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()> {
-            let (stored, from) = (self.0.lock().unwrap(), offset as usize);
-            let stored_bytes = stored.get(from..from + bytes.len()).ok_or(io::ErrorKind::UnexpectedEof)?;
-            bytes.copy_from_slice(stored_bytes);
-            Ok(())
-        }
-
-        fn write(&self, offset: u64, bytes: &[u8]) -> io::Result<()> {
-            let (mut stored, from) = (self.0.lock().unwrap(), offset as usize);
-            let end = stored.len().max(from + bytes.len());
-            stored.resize(end, 0);
-            stored[from..from + bytes.len()].copy_from_slice(bytes);
-            Ok(())
-        }
-    }
+    use crate::storage::tests::InMemory;
 
     /// A long bar of two sheets that repeatedly join and separate, much longer than the width of a halo, and
     /// a few isolated particles.

@@ -220,7 +220,7 @@ pub(super) struct FieldStore {
     current: [usize; 3],
 }
 
-/// Number of storages that a frame needs.
+/// Number of storages for the fields of a frame.
 const FIELD_STORE_FILES: usize = 8;
 
 /// Indices of the bounds' storages, after two for each changing field.

@@ -38,7 +38,7 @@
 //! coefficients, optimal without bounds, need a quarter more. Stabilized Runge–Kutta steps with 54 stages
 //! stay 0.05 to 0.2 voxels away, and 80 stages are no closer, because they discretize time differently.
 //!
-//! A pass streams five fields from memory and writes one. From main memory, it reaches 60 % of the roofline
+//! A pass streams up to five fields from memory and writes one. From main memory, it reaches 60 % of the roofline
 //! that a triad sets on two threads; from a cache, instructions limit it (docs/performance.md, Stages).
 //!
 //! This work is based on:
