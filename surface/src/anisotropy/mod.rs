@@ -267,8 +267,7 @@ impl<V: Lanes> Surroundings<V> {
         let Eigen { values, vectors } = eigen(covariance);
         let [a, b, c] = values.map(|value| value.max(V::splat(SPREAD_MIN)));
         let flatness = V::splat(1.0).sub(a.min(b).min(c).div(a.max(b).max(c)).sqrt());
-        // Without the particle itself.
-        let weight = V::load(&moments[0]).sub(V::splat(1.0)).mul(V::load(weight_scales));
+        let weight = V::load(&moments[0]).sub(V::splat(ITSELF)).mul(V::load(weight_scales));
         let company = company(weight, flatness);
         Surroundings { mean, eigen: Eigen { values: [a, b, c], vectors }, flatness, company }
     }
@@ -309,6 +308,14 @@ fn company<V: Lanes>(weight: V, flatness: V) -> V {
     let gain = V::splat(1.0).add(V::splat(FLAT_GAIN).mul(flatness));
     smooth_step(weight.mul(gain), COMPANY_NONE, COMPANY_FULL)
 }
+
+/// Whether a particle with this sum of weights is in full company, however flat its neighbourhood is.
+fn is_in_full_company(weight: f32, weight_scale: f32) -> bool {
+    (weight - ITSELF) * weight_scale >= COMPANY_FULL
+}
+
+/// The weight of a particle at its own position.
+const ITSELF: f32 = 1.0;
 
 /// 0 up to `from`, 1 from `to` on, and 3u² − 2u³ between.
 #[inline(always)]

@@ -26,7 +26,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{Surroundings, scale_of};
+use super::{Surroundings, is_in_full_company, scale_of};
 use crate::neighbors::{NeighborPackets, Neighbors, Particle8};
 use crate::parallel::Loops as _;
 use crate::particles::{Ellipsoid, OwnedPositions};
@@ -189,7 +189,7 @@ impl Kernel for ParticleRun<'_> {
                 cell_end = self.neighbors.slots(cell).end;
             }
             let at = Vec3::new(x[slot], y[slot], z[slot]);
-            let moments = moments::<V>(surroundings.eights(), at, &mut within);
+            let moments = self.moments_of::<V>(slot, surroundings.eights(), at, &mut within);
             for (row, moment) in waiting.iter_mut().zip(moments) {
                 row[waiting_count % 8] = moment;
             }
@@ -205,6 +205,40 @@ impl Kernel for ParticleRun<'_> {
 }
 
 impl ParticleRun<'_> {
+    /// The moments of the particle in this slot, at `at`. If only means are needed and the particle is in full company,
+    /// its mean is all that follows from them: then the second moments are 0.
+    #[inline(always)]
+    fn moments_of<V: Lanes>(
+        &self,
+        slot: usize,
+        eights: &[Particle8],
+        at: Vec3,
+        within: &mut Vec<u32>,
+    ) -> [f32; MOMENT_COUNT] {
+        let count = find_within::<V>(eights, at, within);
+        let within = &within[..count];
+        if self.config.stretch.is_none() {
+            let sums = moments::<V, FIRST_MOMENT_COUNT>(eights, at, within);
+            if is_in_full_company(sums[0], self.weight_scale(slot)) {
+                let mut moments = [0.0; MOMENT_COUNT];
+                moments[..FIRST_MOMENT_COUNT].copy_from_slice(&sums);
+                return moments;
+            }
+        }
+        moments::<V, MOMENT_COUNT>(eights, at, within)
+    }
+
+    /// Factor from the sum of weights of the particle in this slot to the one that its company is computed from.
+    fn weight_scale(&self, slot: usize) -> f32 {
+        // Of larger particles fewer fit within the radius, and each stands for more fluid.
+        let size = (self.config.own_spacing * self.scale(slot)).max(1.0);
+        self.config.weight_scale * (size * size * size)
+    }
+
+    fn scale(&self, slot: usize) -> f32 {
+        scale_of(self.scales, self.neighbors.indices()[slot] as usize)
+    }
+
     /// Computes means and shapes of up to eight particles, starting at `first`, from their moments.
     #[inline(always)]
     fn finish<V: Lanes>(
@@ -213,15 +247,10 @@ impl ParticleRun<'_> {
         first: usize,
         count: usize,
     ) -> ShapeCounts {
-        let mut scales = [1.0; 8];
-        for (scale, &slot) in scales.iter_mut().zip(&self.slots[first..first + count]) {
-            *scale = scale_of(self.scales, self.neighbors.indices()[slot as usize] as usize);
+        let (mut scales, mut weight_scales) = ([1.0; 8], [1.0; 8]);
+        for (k, &slot) in self.slots[first..first + count].iter().enumerate() {
+            (scales[k], weight_scales[k]) = (self.scale(slot as usize), self.weight_scale(slot as usize));
         }
-        // Of larger particles fewer fit within the radius, and each stands for more fluid.
-        let weight_scales = scales.map(|scale| {
-            let size = (self.config.own_spacing * scale).max(1.0);
-            self.config.weight_scale * (size * size * size)
-        });
         let surroundings = Surroundings::<V>::new(moments, &weight_scales);
         let means = surroundings.means();
         for (k, mean) in self.means[first..first + count].iter_mut().enumerate() {
@@ -253,16 +282,14 @@ impl ParticleRun<'_> {
 /// Number of sums: W; then the sums of w·x, w·y and w·z; then those of w·xx, w·yy, w·zz, w·xy, w·xz and w·yz.
 pub(super) const MOMENT_COUNT: usize = 10;
 
-/// The moments around a particle at `at`, in units of the radius. `within` is a buffer.
+/// Number of the first of them, from which the mean follows.
+const FIRST_MOMENT_COUNT: usize = 4;
+
+/// The first `COUNT` moments around a particle at `at`, in units of the radius, of the particles `within` it.
 #[inline(always)]
-pub(super) fn moments<V: Lanes>(
-    eights: &[Particle8],
-    at: Vec3,
-    within: &mut Vec<u32>,
-) -> [f32; MOMENT_COUNT] {
-    let count = find_within::<V>(eights, at, within);
-    let (full, rest) = within[..count].as_chunks::<8>();
-    let mut sums = [V::splat(0.0); MOMENT_COUNT];
+fn moments<V: Lanes, const COUNT: usize>(eights: &[Particle8], at: Vec3, within: &[u32]) -> [f32; COUNT] {
+    let (full, rest) = within.as_chunks::<8>();
+    let mut sums = [V::splat(0.0); COUNT];
     for indices in full {
         let mut particles = ParticlePacket::NONE;
         particles.take(eights, indices);
@@ -273,11 +300,7 @@ pub(super) fn moments<V: Lanes>(
         particles.take(eights, rest);
         add_moments(&mut sums, &particles, at);
     }
-    let mut moments = [0.0; MOMENT_COUNT];
-    for (moment, sum) in moments.iter_mut().zip(sums) {
-        *moment = total(sum);
-    }
-    moments
+    sums.map(total)
 }
 
 /// Writes the indices of the particles within the radius to the front of `within`. Returns their number.
@@ -344,7 +367,7 @@ impl ParticlePacket {
 }
 
 #[inline(always)]
-fn add_moments<V: Lanes>(sums: &mut [V; MOMENT_COUNT], particles: &ParticlePacket, at: Vec3) {
+fn add_moments<V: Lanes, const COUNT: usize>(sums: &mut [V; COUNT], particles: &ParticlePacket, at: Vec3) {
     let dx = V::load(&particles.along[0]).sub(V::splat(at.x));
     let dy = V::load(&particles.along[1]).sub(V::splat(at.y));
     let dz = V::load(&particles.along[2]).sub(V::splat(at.z));

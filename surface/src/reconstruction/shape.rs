@@ -10,10 +10,10 @@
 //! required depth is part of the method and does not depend on tiles or memory.
 //!
 //! Let R be the neighbor radius, and call a voxel covered if it is certainly within r_init of a given
-//! particle. A particle is deep if every voxel within R plus its own r_max is covered. A deep particle then
+//! particle. A particle is deep if every voxel within R plus its own r_init is covered. A deep particle then
 //! has neighbors on all sides within R, so their mean is approximately its own position, and its shape is
-//! approximately a ball. The additional r_max puts a layer of moved particles between the deep ones and the
-//! surface. Where the density of deep particles changes within R, smoothing their positions would open voids;
+//! approximately a ball. The additional r_init puts a layer of moved particles between the deep ones and the
+//! surface, so that the nearest particle of any place outside is a moved one. Where the density of deep particles changes within R, smoothing their positions would open voids;
 //! because they stay where they are, it does not.
 //!
 //! Displacements are computed in blocks, so the result is the same for frames larger than memory.
@@ -169,7 +169,7 @@ struct Depth {
     /// Scale of the particles for which the input gives none, in units of the settings' radii.
     ball: f32,
     neighbor_voxels: f64,
-    radius_max_voxels: f64,
+    radius_init_voxels: f64,
 }
 
 impl Depth {
@@ -187,13 +187,13 @@ impl Depth {
             cover_voxels: voxels(settings.radius_init) as f32 * cover_scale,
             ball,
             neighbor_voxels: voxels(settings.neighbor_radius),
-            radius_max_voxels: voxels(settings.radius_max),
+            radius_init_voxels: voxels(settings.radius_init),
         }
     }
 
     /// The depth for the particles of a leaf whose longest semi-axis is `longest`.
     fn voxels(&self, longest: f32) -> f32 {
-        (self.neighbor_voxels + self.radius_max_voxels * f64::from(longest.max(self.ball))) as f32
+        (self.neighbor_voxels + self.radius_init_voxels * f64::from(longest.max(self.ball))) as f32
     }
 
     /// Maximum distance from a particle, in voxels, at which others affect whether it is moved.
