@@ -318,7 +318,7 @@ impl<'a> Batch<'a> {
         if let Some(path) = report
             // If the path is a symbolic link, the report replaces the link's target, not the link.
             && let Err(error) =
-                self.record.write(&path.canonicalize().unwrap_or_else(|_| path.to_owned()), seconds)
+                self.record.write(&dunce::canonicalize(path).unwrap_or_else(|_| path.to_owned()), seconds)
         {
             console.error(format_args!("{}: cannot write the report: {error}", path.display()));
             return if self.outcomes.done_count > 0 {

@@ -11,9 +11,9 @@ use walkdir::{DirEntry, WalkDir};
 
 use crate::pipeline::{
     self, FrameFile, NumberPattern, OutFolderError, Sequence, SniffedContent, canonical_path,
-    check_out_folder, content, file_of, files_in, files_joined_by, frames_in, is_absent, is_level_set,
-    is_mesh, is_named_list, is_number, is_sequence_file, may_be_file, promises_particles, shown,
-    single_frame_sequences, single_frames_note, size_bytes, step_of,
+    check_out_folder, content, entry_key, file_of, files_in, files_joined_by, frames_in, is_absent,
+    is_level_set, is_mesh, is_named_list, is_number, is_sequence_file, may_be_file, promises_particles,
+    shown, single_frame_sequences, single_frames_note, size_bytes, step_of,
 };
 use crate::surface::options::MethodOptions;
 
@@ -157,13 +157,14 @@ pub(super) fn selected_files(sequences: &[SelectedSequence]) -> impl Iterator<It
 /// the extensions to the names of such outputs is no alternative: the name of an output would then depend on
 /// the other files in the folder.
 fn without_conflicts(sequences: Vec<SelectedSequence>, console: &mut Console) -> Vec<SelectedSequence> {
-    let mut owner_of: HashMap<(PathBuf, String), PathBuf> = HashMap::new();
+    let mut owner_of: HashMap<PathBuf, PathBuf> = HashMap::new();
     let mut kept = Vec::new();
     for mut selected in sequences {
         let mut conflicts: Vec<(PathBuf, PathBuf)> = Vec::new();
         selected.selected.retain(|file| {
             let folder = file_of(&file.path).parent().map(Path::to_owned).unwrap_or_default();
-            let owner = owner_of.entry((folder, file.stem())).or_insert_with(|| file.path.clone());
+            let outputs = entry_key(folder.join(file.stem()));
+            let owner = owner_of.entry(outputs).or_insert_with(|| file.path.clone());
             let is_conflict = *owner != file.path;
             conflicts.extend(is_conflict.then(|| (owner.clone(), file.path.clone())));
             !is_conflict

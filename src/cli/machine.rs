@@ -10,6 +10,8 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::pipeline::default_memory_bytes;
 
+use super::stop_requests::on_stop_requests;
+
 /// No frame needs less memory than this, in bytes: a smaller limit probably lacks its unit.
 const MEMORY_MIN_BYTES: u64 = 1 << 20;
 
@@ -43,7 +45,7 @@ pub(super) fn memory_bytes(given: Option<u64>) -> Result<u64> {
     }
 }
 
-// Removes temporary files on Ctrl-C or SIGTERM, so that no partial output remains.
+// Removes temporary files on a request to stop, such as Ctrl-C, so that no partial output remains.
 //
 // The frames in flight are discarded; finished ones remain, and `--skip-done` continues from there.
 
@@ -56,29 +58,17 @@ pub(super) fn remove_when_interrupted(folder: PathBuf) {
 }
 
 /// From now on, an interrupted process removes its temporary files before it exits.
-#[cfg(unix)]
 pub(super) fn clean_up_when_interrupted() {
-    use signal_hook::consts::{SIGINT, SIGTERM};
-    use signal_hook::iterator::Signals;
-
     // Without the handler, everything but the cleanup works.
-    let Ok(mut signals) = Signals::new([SIGINT, SIGTERM]) else { return };
-    std::thread::spawn(move || {
-        if let Some(signal) = signals.forever().next() {
-            crate::pipeline::stop_writing();
-            for folder in FOLDERS.lock().unwrap_or_else(PoisonError::into_inner).iter() {
-                // The process exits, so a failure cannot be retried.
-                let _ = fs::remove_dir_all(folder);
-            }
-            // The exit status that shells use for a process that a signal ended: 130 for Ctrl-C.
-            std::process::exit(128 + signal);
+    let _ = on_stop_requests(|status| {
+        crate::pipeline::stop_writing();
+        for folder in FOLDERS.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+            // The process exits, so a failure cannot be retried.
+            let _ = fs::remove_dir_all(folder);
         }
+        std::process::exit(status);
     });
 }
-
-/// On other systems there is no handler: the system ends the process.
-#[cfg(not(unix))]
-pub(super) fn clean_up_when_interrupted() {}
 
 // Returns freed memory to the system, so that `--memory` means what it says.
 //

@@ -22,6 +22,7 @@ mod sequence;
 mod settings;
 mod sheets;
 mod status;
+mod stop_requests;
 mod verify;
 mod watch;
 mod wording;

@@ -305,7 +305,7 @@ fn write_report(path: &Path, folder: &Path, frames: &[VerifiedFrame]) -> Result<
         frames: frames.iter().map(reported).collect(),
     };
     // If the path is a symbolic link, the report replaces the link's target, not the link.
-    let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let path = dunce::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     write_file(&path, |out| write_json(&mut &mut *out, &report))
 }
 

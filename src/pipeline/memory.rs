@@ -10,23 +10,49 @@ pub(super) fn peak_memory_bytes() -> Option<u64> {
 }
 
 /// The resident set size of this process, in bytes; `None` if the system does not report it.
+#[cfg(target_os = "linux")]
 pub fn resident_memory_bytes() -> Option<u64> {
     parse_kibibytes(&std::fs::read_to_string("/proc/self/status").ok()?, "VmRSS:")
+}
+
+/// The resident set size of this process, in bytes; `None` if the system does not report it.
+#[cfg(not(target_os = "linux"))]
+pub fn resident_memory_bytes() -> Option<u64> {
+    use sysinfo::{ProcessRefreshKind, ProcessesToUpdate, System, get_current_pid};
+    let id = get_current_pid().ok()?;
+    let mut system = System::new();
+    let memory = ProcessRefreshKind::nothing().with_memory();
+    system.refresh_processes_specifics(ProcessesToUpdate::Some(&[id]), false, memory);
+    Some(system.process(id)?.memory())
 }
 
 /// The default memory for frames in flight, in bytes: half of the memory of this machine or of the smallest
 /// limit of this process's control groups, whichever is less. 4 GiB if the system reports neither.
 pub fn default_memory_bytes() -> u64 {
     let read = |path: &Path| std::fs::read_to_string(path).ok();
-    let machine = read(Path::new("/proc/meminfo")).and_then(|text| parse_total(&text));
+    let machine = machine_memory_bytes();
+    // Only Linux has control groups.
     let groups = read(Path::new("/proc/self/cgroup")).unwrap_or_default();
     let allowed = limit_files(&groups).iter().filter_map(|path| parse_limit(&read(path)?)).min();
     machine.into_iter().chain(allowed).min().unwrap_or(UNKNOWN_BYTES) / 2
 }
 
+#[cfg(target_os = "linux")]
+fn machine_memory_bytes() -> Option<u64> {
+    parse_total(&std::fs::read_to_string("/proc/meminfo").ok()?)
+}
+
+#[cfg(not(target_os = "linux"))]
+fn machine_memory_bytes() -> Option<u64> {
+    let mut system = sysinfo::System::new();
+    system.refresh_memory();
+    Some(system.total_memory()).filter(|&bytes| bytes > 0)
+}
+
 /// The assumed memory of a machine that does not report it.
 const UNKNOWN_BYTES: u64 = 8 << 30;
 
+#[cfg(any(test, target_os = "linux"))]
 fn parse_total(meminfo: &str) -> Option<u64> {
     parse_kibibytes(meminfo, "MemTotal:")
 }

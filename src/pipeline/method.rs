@@ -221,7 +221,7 @@ impl Storage for ScratchFile {
 
 /// Seeks before each access, for systems without reads and writes at a position. Seeking moves the file's
 /// cursor, which does not matter: tiles are accessed one after the other.
-#[cfg(not(unix))]
+#[cfg(windows)]
 impl Storage for ScratchFile {
     fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()> {
         use std::io::{Read, Seek, SeekFrom};

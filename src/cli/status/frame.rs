@@ -32,7 +32,7 @@ pub(super) fn print(
         }
         let Some((input, record)) = find_frame(&state, &path) else { continue };
         let may_have_daemon = !matches!(Holder::of(folder)?, Holder::Unlocked);
-        let absolute = folder.canonicalize().unwrap_or_else(|_| folder.clone());
+        let absolute = dunce::canonicalize(folder).unwrap_or_else(|_| folder.clone());
         let status = FrameStatus::new(input, record, &absolute, may_have_daemon);
         if as_json {
             console.print_json(&status)?;

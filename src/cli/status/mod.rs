@@ -209,7 +209,7 @@ impl Holder {
 
 impl StatusRecord {
     fn new(output: &Path, state: &LatestRecords, holder: Holder) -> StatusRecord {
-        let folder = output.canonicalize().unwrap_or_else(|_| output.to_owned());
+        let folder = dunce::canonicalize(output).unwrap_or_else(|_| output.to_owned());
         let has_daemon = matches!(holder, Holder::Daemon(_));
         let files = Files::new(state, has_daemon);
         let mut recorded: Vec<(&PathBuf, &RecordedFrame)> =

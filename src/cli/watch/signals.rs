@@ -5,18 +5,15 @@
 //! outputs. The threads that end the process log through yet another thread, because the standard error may
 //! be a full pipe, which blocks its writers.
 
+use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
-#[cfg(unix)]
-use std::{
-    io,
-    sync::mpsc::{Receiver, channel},
-};
 
-use anyhow::Result;
 use crossbeam::channel::Sender;
 
+use crate::cli::stop_requests::on_stop_requests;
 use crate::watch::STOP_DEADLINE;
 
 /// How long after the deadline the process exits. The loop itself ends at the deadline unless it hangs.
@@ -57,41 +54,31 @@ impl Shutdown {
     }
 }
 
-/// Installs the signal handlers: SIGTERM and SIGINT stop the daemon gracefully, and a second one stops it
-/// immediately.
+/// From now on, a request to stop ends the daemon gracefully, and a second one ends it immediately.
 ///
 /// # Errors
-/// If the system refuses to install the handlers.
-#[cfg(unix)]
-pub(super) fn listen(shutdown: Arc<Shutdown>) -> Result<()> {
-    use signal_hook::consts::{SIGINT, SIGTERM};
-    use signal_hook::iterator::Signals;
-
-    let mut signals = Signals::new([SIGINT, SIGTERM])?;
-    std::thread::Builder::new().name("signals".into()).spawn(move || {
-        for signal in signals.forever() {
-            if shutdown.request() {
-                end_at_once(128 + signal, || {
-                    tracing::warn!("second signal: ending without finishing the frames in flight");
-                });
-            }
-            let is_deadline_kept = end_when_overdue(&shutdown);
-            log_detached(move || {
-                tracing::info!("stopping on request; a second signal exits at once");
-                if let Err(error) = is_deadline_kept {
-                    tracing::warn!(
-                        "if a file system hangs, the daemon will not exit by itself: send a second signal \
-                         then (cannot start a thread: {error})"
-                    );
-                }
+/// If the system refuses the handlers.
+pub(super) fn listen(shutdown: Arc<Shutdown>) -> io::Result<()> {
+    on_stop_requests(move |status| {
+        if shutdown.request() {
+            end_at_once(status, || {
+                tracing::warn!("second signal: ending without finishing the frames in flight");
             });
         }
-    })?;
-    Ok(())
+        let is_deadline_kept = end_when_overdue(&shutdown);
+        log_detached(move || {
+            tracing::info!("stopping on request; a second signal exits at once");
+            if let Err(error) = is_deadline_kept {
+                tracing::warn!(
+                    "if a file system hangs, the daemon will not exit by itself: send a second signal \
+                     then (cannot start a thread: {error})"
+                );
+            }
+        });
+    })
 }
 
 /// Exits the process if the loop has not ended by the deadline.
-#[cfg(unix)]
 fn end_when_overdue(shutdown: &Arc<Shutdown>) -> io::Result<()> {
     let (timeout, status) = (shutdown.timeout, shutdown.status);
     let waiting = std::thread::Builder::new().name("deadline".into()).spawn(move || {
@@ -106,7 +93,6 @@ fn end_when_overdue(shutdown: &Arc<Shutdown>) -> io::Result<()> {
 /// Logs from another thread. The returned receiver gets a message when the line is written, and is
 /// disconnected if the thread cannot be started. If the standard error is a full pipe, which blocks its
 /// writer, neither happens.
-#[cfg(unix)]
 fn log_detached(log: impl FnOnce() + Send + 'static) -> Receiver<()> {
     let (done, is_done) = channel();
     let logging = std::thread::Builder::new().name("log".into()).spawn(move || {
@@ -119,22 +105,14 @@ fn log_detached(log: impl FnOnce() + Send + 'static) -> Receiver<()> {
 }
 
 /// How long the process waits at its end for its last log line.
-#[cfg(unix)]
 const LOG_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Exits the process with this status, after it has waited for the log line for at most `LOG_TIMEOUT`. For a
 /// signal, callers pass the status that a shell reports: 128 + signal, such as 130 for Ctrl-C.
-#[cfg(unix)]
 fn end_at_once(status: i32, log: impl FnOnce() + Send + 'static) -> ! {
     crate::pipeline::stop_writing();
     let _ = log_detached(log).recv_timeout(LOG_TIMEOUT);
     std::process::exit(status)
-}
-
-/// Other systems have no such signals, and end the process in their own way.
-#[cfg(not(unix))]
-pub(super) fn listen(_shutdown: Arc<Shutdown>) -> Result<()> {
-    Ok(())
 }
 
 #[cfg(test)]

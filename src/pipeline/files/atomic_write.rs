@@ -121,10 +121,32 @@ impl StagedFile {
 /// Renames a file, and holds the lock of [`active_temporaries`] meanwhile, so that [`stop_writing`] runs
 /// before or after the rename, but not during it.
 fn rename_locked(from: &Path, to: &Path) -> io::Result<()> {
-    let temporaries = active_temporaries();
-    let renamed = fs::rename(from, to);
-    drop(temporaries);
+    let rename = || {
+        let _temporaries = active_temporaries();
+        fs::rename(from, to)
+    };
+    let mut renamed = rename();
+    for _ in 0..RENAME_RETRIES {
+        if !renamed.as_ref().is_err_and(is_held_open) {
+            break;
+        }
+        thread::sleep(RENAME_INTERVAL);
+        renamed = rename();
+    }
     renamed
+}
+
+/// How often, and after which time, a rename is tried again: virus scanners and indexers hold a new file for
+/// less than a second.
+const RENAME_RETRIES: usize = 10;
+const RENAME_INTERVAL: Duration = Duration::from_millis(100);
+
+/// Whether the error may mean that another process holds the file open. On Windows it cannot be replaced then,
+/// unless that process allows it.
+fn is_held_open(error: &io::Error) -> bool {
+    const ERROR_ACCESS_DENIED: i32 = 5;
+    const ERROR_SHARING_VIOLATION: i32 = 32;
+    cfg!(windows) && matches!(error.raw_os_error(), Some(ERROR_ACCESS_DENIED | ERROR_SHARING_VIOLATION))
 }
 
 /// Renames staged files of one folder to their final names, one after the other, and replaces existing files.

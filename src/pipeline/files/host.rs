@@ -7,7 +7,7 @@ pub fn host_name() -> String {
 }
 
 /// The host name of this machine.
-#[cfg(not(unix))]
+#[cfg(windows)]
 pub fn host_name() -> String {
     std::env::var("COMPUTERNAME").unwrap_or_else(|_| "an unnamed machine".to_owned())
 }

@@ -5,7 +5,8 @@
 //!   in/../in/x     the same directory entry as `in/x`, which may be a link itself
 //! ```
 
-use std::fs::{File, Metadata};
+use std::fs::File;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// Identifies a file or folder, whatever path leads to it. Links are followed.
@@ -13,16 +14,16 @@ use std::path::{Path, PathBuf};
 pub enum FileId {
     /// Its device and its inode.
     Inode(u64, u64),
-    /// The canonical path of what does not exist, or is on a system without inodes.
+    /// The canonical path of what does not exist, as [`entry_key`] gives it.
     Path(PathBuf),
 }
 
 impl FileId {
     /// The identity of the file or folder at a path, existing or not.
     pub fn of(path: &Path) -> FileId {
-        match path.metadata().ok().and_then(|metadata| device_and_inode(&metadata)) {
-            Some((device, inode)) => FileId::Inode(device, inode),
-            None => FileId::Path(path.canonicalize().unwrap_or_else(|_| canonical_path(path))),
+        match device_and_inode(path) {
+            Ok((device, inode)) => FileId::Inode(device, inode),
+            Err(_) => FileId::Path(entry_key(canonical_path(path))),
         }
     }
 }
@@ -32,12 +33,41 @@ pub fn are_same_file(one: &Path, other: &Path) -> bool {
     FileId::of(one) == FileId::of(other)
 }
 
-/// Whether an open file still has this path. A link at the path is not followed. On systems without inodes,
-/// whether anything has this path.
+/// Whether an open file still has this path. A link at the path is not followed.
 pub(crate) fn is_still_at(path: &Path, file: &File) -> bool {
-    match (path.symlink_metadata(), file.metadata()) {
-        (Ok(at_path), Ok(open)) => device_and_inode(&at_path) == device_and_inode(&open),
+    let is_link = path.symlink_metadata().is_ok_and(|metadata| metadata.is_symlink());
+    match (system::numbers_at(path), system::numbers(file)) {
+        (Ok(at_path), Ok(open)) => !is_link && at_path == open,
         _ => false,
+    }
+}
+
+/// Whether an open file has other hard links: a write changes those, too.
+///
+/// # Errors
+/// When the system reports an error.
+pub fn has_other_names(file: &File) -> io::Result<bool> {
+    Ok(system::name_count(file)? > 1)
+}
+
+/// The device and the inode of the file or folder at a path; on Windows, the volume and the index. Links are followed.
+///
+/// # Errors
+/// When the path does not exist, or the system refuses.
+pub(crate) fn device_and_inode(path: &Path) -> io::Result<(u64, u64)> {
+    system::numbers_at(path)
+}
+
+/// A path as a key, equal for all spellings of one directory entry: Windows and macOS usually ignore the case of
+/// letters. A volume that distinguishes it gets one key for two entries, so that one of the two is left out
+/// and reported.
+pub fn entry_key(path: PathBuf) -> PathBuf {
+    if !cfg!(any(windows, target_os = "macos")) {
+        return path;
+    }
+    match path.to_str() {
+        Some(text) => text.to_lowercase().into(),
+        None => path,
     }
 }
 
@@ -56,7 +86,7 @@ pub fn canonical_path(path: &Path) -> PathBuf {
 
 /// Resolves the links of the folder, as far as it exists.
 fn resolved(folder: &Path) -> PathBuf {
-    if let Ok(real) = folder.canonicalize() {
+    if let Ok(real) = dunce::canonicalize(folder) {
         return real;
     }
     match (folder.parent(), folder.file_name()) {
@@ -67,17 +97,54 @@ fn resolved(folder: &Path) -> PathBuf {
     }
 }
 
-/// The device and the inode of a file; `None` on systems without inodes.
 #[cfg(unix)]
-pub(crate) fn device_and_inode(metadata: &Metadata) -> Option<(u64, u64)> {
+mod system {
+    use std::fs::{File, Metadata};
+    use std::io;
     use std::os::unix::fs::MetadataExt;
-    Some((metadata.dev(), metadata.ino()))
+    use std::path::Path;
+
+    pub(super) fn numbers_at(path: &Path) -> io::Result<(u64, u64)> {
+        Ok(numbers_of(&path.metadata()?))
+    }
+
+    pub(super) fn numbers(file: &File) -> io::Result<(u64, u64)> {
+        Ok(numbers_of(&file.metadata()?))
+    }
+
+    fn numbers_of(metadata: &Metadata) -> (u64, u64) {
+        (metadata.dev(), metadata.ino())
+    }
+
+    pub(super) fn name_count(file: &File) -> io::Result<u64> {
+        Ok(file.metadata()?.nlink())
+    }
 }
 
-/// The device and the inode of a file; `None` on systems without inodes.
-#[cfg(not(unix))]
-pub(crate) fn device_and_inode(_metadata: &Metadata) -> Option<(u64, u64)> {
-    None
+#[cfg(windows)]
+mod system {
+    use std::fs::File;
+    use std::io;
+    use std::path::Path;
+
+    use winapi_util::Handle;
+    use winapi_util::file::{Information, information};
+
+    pub(super) fn numbers_at(path: &Path) -> io::Result<(u64, u64)> {
+        Ok(numbers_of(&information(&Handle::from_path_any(path)?)?))
+    }
+
+    pub(super) fn numbers(file: &File) -> io::Result<(u64, u64)> {
+        Ok(numbers_of(&information(file)?))
+    }
+
+    fn numbers_of(information: &Information) -> (u64, u64) {
+        (information.volume_serial_number(), information.file_index())
+    }
+
+    pub(super) fn name_count(file: &File) -> io::Result<u64> {
+        Ok(information(file)?.number_of_links())
+    }
 }
 
 #[cfg(test)]
@@ -90,7 +157,7 @@ mod tests {
     #[test]
     fn paths_of_one_file_are_the_same_and_names_of_links_are_not_resolved() {
         let scratch = tempfile::tempdir().expect("a folder");
-        let top = scratch.path().canonicalize().expect("there");
+        let top = dunce::canonicalize(scratch.path()).expect("there");
         fs::create_dir_all(top.join("a/b")).expect("made");
         symlink(top.join("a"), top.join("link")).expect("linked");
         for (typed, expected) in [

@@ -68,7 +68,7 @@ fn from_bytes(bytes: Vec<u8>) -> OsString {
 }
 
 /// On systems whose names are not bytes, an invalid name cannot be restored exactly.
-#[cfg(not(unix))]
+#[cfg(windows)]
 fn from_bytes(bytes: Vec<u8>) -> OsString {
     String::from_utf8_lossy(&bytes).into_owned().into()
 }

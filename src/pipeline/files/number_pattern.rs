@@ -141,9 +141,10 @@ pub fn is_link_loop(error: &io::Error) -> bool {
 }
 
 /// Whether a path cannot be resolved because of a loop of links.
-#[cfg(not(unix))]
-pub fn is_link_loop(_error: &io::Error) -> bool {
-    false
+#[cfg(windows)]
+pub fn is_link_loop(error: &io::Error) -> bool {
+    const ERROR_CANT_RESOLVE_FILENAME: i32 = 1921;
+    error.raw_os_error() == Some(ERROR_CANT_RESOLVE_FILENAME)
 }
 
 #[cfg(test)]

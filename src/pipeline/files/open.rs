@@ -143,18 +143,6 @@ pub(crate) fn require_no_links(folder: &Path, depth: usize) -> io::Result<()> {
     Ok(())
 }
 
-/// Whether the file has other hard links: a write changes those, too.
-#[cfg(unix)]
-pub fn has_other_names(metadata: &Metadata) -> bool {
-    std::os::unix::fs::MetadataExt::nlink(metadata) > 1
-}
-
-/// Whether the file has other hard links: a write changes those, too.
-#[cfg(not(unix))]
-pub fn has_other_names(_metadata: &Metadata) -> bool {
-    false
-}
-
 /// Requires a regular file.
 ///
 /// # Errors
@@ -185,7 +173,7 @@ fn name_of_special(kind: FileType) -> &'static str {
     }
 }
 
-#[cfg(not(unix))]
+#[cfg(windows)]
 fn name_of_special(_kind: FileType) -> &'static str {
     "a file of unknown type"
 }
@@ -203,7 +191,8 @@ fn without_waiting(options: &mut OpenOptions) -> &mut OpenOptions {
     options.custom_flags(rustix::fs::OFlags::NONBLOCK.bits() as i32)
 }
 
-#[cfg(not(unix))]
+/// On Windows, named pipes are not in folders.
+#[cfg(windows)]
 fn without_waiting(options: &mut OpenOptions) -> &mut OpenOptions {
     options
 }
@@ -219,9 +208,12 @@ fn without_links(options: &mut OpenOptions, waiting: Waiting) -> &mut OpenOption
     options.custom_flags(flags.bits() as i32)
 }
 
-#[cfg(not(unix))]
+/// Opens a link itself, which [`require_regular`] refuses.
+#[cfg(windows)]
 fn without_links(options: &mut OpenOptions, _waiting: Waiting) -> &mut OpenOptions {
-    options
+    use std::os::windows::fs::OpenOptionsExt;
+    const FILE_FLAG_OPEN_REPARSE_POINT: u32 = 0x0020_0000;
+    options.custom_flags(FILE_FLAG_OPEN_REPARSE_POINT)
 }
 
 #[cfg(all(test, target_os = "linux"))]

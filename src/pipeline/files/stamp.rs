@@ -7,8 +7,6 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::{Deserialize, Serialize};
 
-use super::identity::device_and_inode;
-
 /// Size, times and inode of a file: two files with equal stamps are treated as the same, unchanged file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct FileStamp {
@@ -18,7 +16,7 @@ pub struct FileStamp {
     /// The modification time in nanoseconds since 1970; negative before.
     #[serde(default)]
     pub modified_ns: i64,
-    /// The inode number; 0 on systems without one.
+    /// The inode number; 0 on Windows.
     #[serde(default)]
     pub inode: u64,
     /// The status change time (ctime) in nanoseconds since 1970. A program can set back the modification
@@ -45,7 +43,7 @@ impl FileStamp {
         FileStamp {
             size: metadata.len(),
             modified_ns: modified.unwrap_or(0),
-            inode: device_and_inode(metadata).map_or(0, |(_, inode)| inode),
+            inode: inode(metadata),
             changed_ns: status_change(metadata),
         }
     }
@@ -80,12 +78,23 @@ fn nanoseconds(time: SystemTime) -> Option<i64> {
 }
 
 #[cfg(unix)]
+fn inode(metadata: &Metadata) -> u64 {
+    std::os::unix::fs::MetadataExt::ino(metadata)
+}
+
+/// Windows has a number, too, but only for an open file.
+#[cfg(windows)]
+fn inode(_metadata: &Metadata) -> u64 {
+    0
+}
+
+#[cfg(unix)]
 fn status_change(metadata: &Metadata) -> Option<i64> {
     use std::os::unix::fs::MetadataExt;
     metadata.ctime().checked_mul(1_000_000_000)?.checked_add(metadata.ctime_nsec())
 }
 
-#[cfg(not(unix))]
+#[cfg(windows)]
 fn status_change(_metadata: &Metadata) -> Option<i64> {
     None
 }

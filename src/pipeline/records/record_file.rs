@@ -10,8 +10,9 @@ use super::known_records::DONE_PER_FRAME_MAX;
 use super::record_line::{RecordLine, unfinished_key};
 use crate::pipeline::files::checked_line::{push_line, record_of_line};
 use crate::pipeline::files::host::host_name;
+use crate::pipeline::files::identity::has_other_names;
 use crate::pipeline::files::identity::is_still_at;
-use crate::pipeline::files::open::{has_other_names, open_itself, open_own, require_own_folder};
+use crate::pipeline::files::open::{open_itself, open_own, require_own_folder};
 use crate::pipeline::files::temporary::{create_locked, random_number, remove_if_exists};
 
 /// The start of the name of a file of records; 8 hexadecimal digits for the machine and 16 others follow.
@@ -159,9 +160,8 @@ impl OwnFile {
     /// Continues a file of an earlier process. Compacts it if most of its lines are superseded.
     fn adopt(path: PathBuf, lock: File) -> io::Result<OwnFile> {
         let mut file = open_own(&path, OpenOptions::new().read(true).append(true))?;
-        let metadata = file.metadata()?;
         // A user keeps a copy under the other name.
-        if metadata.len() > CONTINUED_BYTES_MAX || has_other_names(&metadata) {
+        if file.metadata()?.len() > CONTINUED_BYTES_MAX || has_other_names(&file)? {
             return Err(io::ErrorKind::Unsupported.into());
         }
         let mut bytes = Vec::new();

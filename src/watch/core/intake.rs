@@ -20,7 +20,7 @@ use meniscus_formats::Neighbor;
 
 use crate::pipeline::{
     ChangedOutput, DoneRecord, FileStamp, Frame, FrameError, ObstacleStamps, OutputOptions, Reason,
-    RecordedFrame, Stage, UnfinishedState, output_path, step_in,
+    RecordedFrame, Stage, UnfinishedState, entry_key, output_path, step_in,
 };
 use crate::surface::options::Settings;
 
@@ -237,13 +237,13 @@ impl Core {
     /// Releases the output names of a frame that will not write outputs. A frame that was refused because of
     /// these names may then claim them.
     pub(super) fn release_claim(&mut self, id: &FrameId) {
-        let claimed = self.claimed_stem(id);
+        let claimed = self.claim(id);
         if self.claims.get(&claimed) != Some(id) {
             return;
         }
         self.claims.remove(&claimed);
         let is_competitor =
-            |(id, failure): &(&FrameId, &Failure)| failure.is_refusal && self.claimed_stem(id) == claimed;
+            |(id, failure): &(&FrameId, &Failure)| failure.is_refusal && self.claim(id) == claimed;
         for competitor in
             self.failed.iter().filter(is_competitor).map(|(id, _)| id.clone()).collect::<Vec<_>>()
         {
@@ -275,7 +275,7 @@ impl Core {
         }
         // If several frames had the same outputs, the last one that was finished has them.
         owners.sort();
-        self.claims = owners.into_iter().map(|(.., id)| (self.claimed_stem(&id), id)).collect();
+        self.claims = owners.into_iter().map(|(.., id)| (self.claim(&id), id)).collect();
     }
 
     /// Whether a frame that has claimed outputs exists, or may still be found.
@@ -343,7 +343,7 @@ impl Core {
     /// checked when that frame releases them.
     pub(super) fn check_refusal(&mut self, id: &FrameId) {
         let is_refused = self.failed.get(id).is_some_and(|failure| failure.is_refusal);
-        let owner = self.claims.get(&self.claimed_stem(id));
+        let owner = self.claims.get(&self.claim(id));
         let is_owned = owner.is_some_and(|owner| owner != id && self.may_exist(owner));
         if is_refused && !is_owned && self.output_folder(id.root).is_mounted {
             self.inspect(id, None);
@@ -674,14 +674,14 @@ impl Core {
     /// refuses the frame and returns false.
     fn claim_outputs(&mut self, id: &FrameId, conflict: Option<String>) -> bool {
         let conflict = conflict.or_else(|| self.replaced_usd_stage(id));
-        let claimed = self.claimed_stem(id);
+        let claimed = self.claim(id);
         let owner = self.claims.get(&claimed).filter(|owner| *owner != id && self.may_exist(owner));
         let owned = owner.map(|owner| {
             format!(
                 "{} and {} would both become {}.*: converting only the first; rename the second, or convert it into another folder",
                 owner.path.display(),
                 id.path.display(),
-                claimed.display(),
+                self.claimed_stem(id).display(),
             )
         });
         match owned.or(conflict) {
@@ -703,6 +703,11 @@ impl Core {
         }
         let output = self.output_paths(id).into_iter().find(|output| stages.contains(output))?;
         Some(format!("its output {} would replace the stage: give another name to --stage", output.display()))
+    }
+
+    /// The outputs that a frame claims, as a key.
+    fn claim(&self, id: &FrameId) -> PathBuf {
+        entry_key(self.claimed_stem(id))
     }
 
     /// The path of a frame's outputs without their extensions.

@@ -161,15 +161,18 @@ fn has_no_lock_service(error: &io::Error) -> bool {
     [Errno::NOLCK, Errno::NOSYS, Errno::OPNOTSUPP, Errno::NOTSUP].into_iter().any(|no| errno == Some(no))
 }
 
-#[cfg(not(unix))]
-fn has_no_lock_service(_error: &io::Error) -> bool {
-    false
+/// Whether this is the error of a network drive without locks.
+#[cfg(windows)]
+fn has_no_lock_service(error: &io::Error) -> bool {
+    const ERROR_INVALID_FUNCTION: i32 = 1;
+    const ERROR_NOT_SUPPORTED: i32 = 50;
+    matches!(error.raw_os_error(), Some(ERROR_INVALID_FUNCTION | ERROR_NOT_SUPPORTED))
 }
 
 /// Writes a description of the holder over that of the last one, and truncates the file afterwards, so that
 /// it is never empty.
 fn write_holder(mut file: &File) -> io::Result<()> {
-    if has_other_names(&file.metadata()?) {
+    if has_other_names(file)? {
         return Err(io::Error::other("the file has more than one hard link: remove it"));
     }
     let text = format!("pid {} on {} since {}\n", std::process::id(), host_name(), since(SystemTime::now()));

@@ -31,26 +31,18 @@ pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str
 /// The bytes that this user may still write to the file system at `path`.
 ///
 /// # Errors
-/// When the path does not exist, or the system refuses; [`io::ErrorKind::Unsupported`] on systems other than
-/// Unix.
-#[cfg(unix)]
+/// When the path does not exist, or the system refuses.
 pub(crate) fn free_bytes(path: &Path) -> io::Result<u64> {
-    let statistics = rustix::fs::statvfs(path)?;
-    Ok(statistics.f_bavail.saturating_mul(statistics.f_frsize))
-}
-
-#[cfg(not(unix))]
-pub(crate) fn free_bytes(_path: &Path) -> io::Result<u64> {
-    Err(io::ErrorKind::Unsupported.into())
+    fs4::available_space(path)
 }
 
 /// The device of the file system at `path`, links followed: if a folder is empty and on another device than
-/// before, it was unmounted, not emptied. `None` on systems other than Unix.
+/// before, it was unmounted, not emptied.
 ///
 /// # Errors
 /// When the path does not exist, or the system refuses.
-pub(crate) fn device(path: &Path) -> io::Result<Option<u64>> {
-    Ok(device_and_inode(&path.metadata()?).map(|(device, _)| device))
+pub(crate) fn device(path: &Path) -> io::Result<u64> {
+    Ok(device_and_inode(path)?.0)
 }
 
 /// The magic numbers in `statfs` of file systems whose changes may go unreported, with their common names.
@@ -115,7 +107,6 @@ mod tests {
         assert_ne!(of(Path::new("/proc")), of(folder.path()));
     }
 
-    #[cfg(unix)]
     #[test]
     fn free_space_is_in_bytes() {
         let folder = tempfile::tempdir().expect("a folder");

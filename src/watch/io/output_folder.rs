@@ -45,7 +45,7 @@ pub(crate) struct OutputGuard {
 struct LockedFolder {
     lock: OutputLock,
     /// The device of the folder when it was opened.
-    device: Option<u64>,
+    device: u64,
 }
 
 /// How often a folder of outputs is checked.
@@ -75,8 +75,7 @@ pub(super) fn open_outputs(
 
 fn open_folder(folder: &Path) -> Result<PathBuf, DaemonError> {
     make_out_folder(folder).map_err(DaemonError::OutFolderRefused)?;
-    folder
-        .canonicalize()
+    dunce::canonicalize(folder)
         .map_err(|source| DaemonError::OutFolderUnreadable { folder: folder.to_owned(), source })
 }
 

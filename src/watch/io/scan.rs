@@ -152,10 +152,10 @@ struct ScanLimits {
 
 impl ScanLimits {
     fn new(root: &Path, selection: &FileFilter) -> io::Result<ScanLimits> {
-        let root = root.canonicalize()?;
+        let root = dunce::canonicalize(root)?;
         // A missing folder excludes nothing. A folder that contains the root excludes nothing either: see
         // `excludes`.
-        let excluded = selection.excluded().iter().filter_map(|folder| folder.canonicalize().ok());
+        let excluded = selection.excluded().iter().filter_map(|folder| dunce::canonicalize(folder).ok());
         Ok(ScanLimits { excluded: excluded.collect(), root })
     }
 
@@ -165,7 +165,7 @@ impl ScanLimits {
         if self.excluded.is_empty() {
             return Ok(false);
         }
-        let folder = folder.canonicalize()?;
+        let folder = dunce::canonicalize(folder)?;
         let in_root = folder.starts_with(&self.root);
         let excludes = |excluded: &PathBuf| {
             folder.starts_with(excluded) && !(in_root && self.root.starts_with(excluded))
