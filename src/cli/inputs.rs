@@ -378,7 +378,7 @@ fn search(inputs: &[PathBuf], may_be_empty: bool) -> Result<MatchedInputs> {
         }
     }
     let mut seen = HashSet::new();
-    found.files.retain(|file| seen.insert(canonical_path(&file.path)));
+    found.files.retain(|file| seen.insert(entry_key(canonical_path(&file.path))));
     Ok(found)
 }
 
@@ -402,8 +402,9 @@ fn frames_of(file: FrameFile) -> Result<Vec<FrameFile>, Error> {
 impl MatchedInputs {
     /// Merges the files of another search, without duplicates.
     pub(super) fn add(&mut self, found: MatchedInputs) {
-        let mut seen: HashSet<PathBuf> = self.files.iter().map(|file| canonical_path(&file.path)).collect();
-        self.files.extend(found.files.into_iter().filter(|file| seen.insert(canonical_path(&file.path))));
+        let key = |file: &FrameFile| entry_key(canonical_path(&file.path));
+        let mut seen: HashSet<PathBuf> = self.files.iter().map(key).collect();
+        self.files.extend(found.files.into_iter().filter(|file| seen.insert(key(file))));
         for (what, (first, count)) in found.skipped {
             self.skip(what, first, count);
         }

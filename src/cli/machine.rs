@@ -60,13 +60,13 @@ pub(super) fn remove_when_interrupted(folder: PathBuf) {
 /// From now on, an interrupted process removes its temporary files before it exits.
 pub(super) fn clean_up_when_interrupted() {
     // Without the handler, everything but the cleanup works.
-    let _ = on_stop_requests(|status| {
+    let _ = on_stop_requests(|request| {
         crate::pipeline::stop_writing();
         for folder in FOLDERS.lock().unwrap_or_else(PoisonError::into_inner).iter() {
             // The process exits, so a failure cannot be retried.
             let _ = fs::remove_dir_all(folder);
         }
-        std::process::exit(status);
+        std::process::exit(request.status);
     });
 }
 

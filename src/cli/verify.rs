@@ -13,7 +13,7 @@ use serde::Serialize;
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::{
     AroundFrame, DoneRecord, FrameFile, FrameRecords, NumberedFrames, OutputComparison, RecordedAround,
-    ResultState, STATE_FOLDER, Wanted, canonical_path, file_of, hash_of_input, sequences,
+    ResultState, STATE_FOLDER, Wanted, canonical_path, entry_key, file_of, hash_of_input, sequences,
 };
 
 use crate::surface::temporal::FRAMES_MAX;
@@ -252,13 +252,14 @@ fn refuse_to_replace(
     frames: &BTreeMap<PathBuf, KnownFrame>,
 ) -> Result<()> {
     let Some(report) = report else { return Ok(()) };
-    let entry = canonical_path(report);
+    let key = |path: &Path| entry_key(canonical_path(path));
+    let entry = key(report);
     let is_result = |record: &DoneRecord| {
         let within = folder.join(&record.name);
-        record.outputs.iter().any(|file| canonical_path(&within.with_file_name(&file.name)) == entry)
+        record.outputs.iter().any(|file| key(&within.with_file_name(&file.name)) == entry)
     };
     let is_named = |frame: &KnownFrame| {
-        frame.records.iter().any(|record| is_result(record)) || canonical_path(file_of(&frame.input)) == entry
+        frame.records.iter().any(|record| is_result(record)) || key(file_of(&frame.input)) == entry
     };
     if frames.values().any(is_named) {
         bail!("{}: the report would replace an input or a result", report.display());

@@ -69,7 +69,8 @@ Lengths:
 
 Signals:
   SIGTERM, SIGINT  finish the frames in flight within 30s, and exit; a second
-                   one exits at once. Neither leaves partial files
+                   one exits at once. Neither leaves partial files. On Windows
+                   Ctrl-C is SIGINT, and a closed console a second signal
 
 Exit status:
   0    with --once: every frame is converted. Without: the daemon stopped on

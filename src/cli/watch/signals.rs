@@ -1,4 +1,4 @@
-//! Stops the daemon on a signal.
+//! Stops the daemon on a signal, or on an event of a Windows console.
 //!
 //! SIGTERM ends the process even if the loop hangs. The loop has some time to finish the in-flight frames.
 //! Then another thread exits the process; the only files that this thread touches are those of unfinished
@@ -59,10 +59,12 @@ impl Shutdown {
 /// # Errors
 /// If the system refuses the handlers.
 pub(super) fn listen(shutdown: Arc<Shutdown>) -> io::Result<()> {
-    on_stop_requests(move |status| {
-        if shutdown.request() {
-            end_at_once(status, || {
-                tracing::warn!("second signal: ending without finishing the frames in flight");
+    on_stop_requests(move |request| {
+        let is_second = shutdown.request();
+        if is_second || request.is_urgent {
+            let why = if is_second { "second signal" } else { "the system ends this process" };
+            end_at_once(request.status, move || {
+                tracing::warn!("{why}: ending without finishing the frames in flight");
             });
         }
         let is_deadline_kept = end_when_overdue(&shutdown);

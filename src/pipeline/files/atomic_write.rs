@@ -141,8 +141,8 @@ fn rename_locked(from: &Path, to: &Path) -> io::Result<()> {
 const RENAME_RETRIES: usize = 10;
 const RENAME_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Whether the error may mean that another process holds the file open. On Windows it cannot be replaced then,
-/// unless that process allows it.
+/// Whether the error may mean that another process holds the file open. On Windows it cannot be replaced
+/// then, unless that process allows it.
 fn is_held_open(error: &io::Error) -> bool {
     const ERROR_ACCESS_DENIED: i32 = 5;
     const ERROR_SHARING_VIOLATION: i32 = 32;

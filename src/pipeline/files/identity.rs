@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 pub enum FileId {
     /// Its device and its inode.
     Inode(u64, u64),
-    /// The canonical path of what does not exist, as [`entry_key`] gives it.
+    /// The canonical path of what does not exist or has no inode, as [`entry_key`] gives it.
     Path(PathBuf),
 }
 
@@ -50,7 +50,8 @@ pub fn has_other_names(file: &File) -> io::Result<bool> {
     Ok(system::name_count(file)? > 1)
 }
 
-/// The device and the inode of the file or folder at a path; on Windows, the volume and the index. Links are followed.
+/// The device and the inode of the file or folder at a path; on Windows, the volume and the index. Links are
+/// followed.
 ///
 /// # Errors
 /// When the path does not exist, or the system refuses.
@@ -58,8 +59,8 @@ pub(crate) fn device_and_inode(path: &Path) -> io::Result<(u64, u64)> {
     system::numbers_at(path)
 }
 
-/// A path as a key, equal for all spellings of one directory entry: Windows and macOS usually ignore the case of
-/// letters. A volume that distinguishes it gets one key for two entries, so that one of the two is left out
+/// A path as a key, in which the case of letters does not matter on Windows and macOS: their volumes usually
+/// ignore it. A volume that distinguishes it gets one key for two entries, so that one of the two is left out
 /// and reported.
 pub fn entry_key(path: PathBuf) -> PathBuf {
     if !cfg!(any(windows, target_os = "macos")) {
@@ -125,21 +126,25 @@ mod system {
 mod system {
     use std::fs::File;
     use std::io;
+    use std::os::windows::fs::OpenOptionsExt;
     use std::path::Path;
 
-    use winapi_util::Handle;
-    use winapi_util::file::{Information, information};
+    use winapi_util::file::information;
 
     pub(super) fn numbers_at(path: &Path) -> io::Result<(u64, u64)> {
-        Ok(numbers_of(&information(&Handle::from_path_any(path)?)?))
+        // Without access to its contents, a file can be opened while its writer has it exclusively. The flag is
+        // needed to open folders.
+        const FILE_FLAG_BACKUP_SEMANTICS: u32 = 0x0200_0000;
+        numbers(&File::options().access_mode(0).custom_flags(FILE_FLAG_BACKUP_SEMANTICS).open(path)?)
     }
 
     pub(super) fn numbers(file: &File) -> io::Result<(u64, u64)> {
-        Ok(numbers_of(&information(file)?))
-    }
-
-    fn numbers_of(information: &Information) -> (u64, u64) {
-        (information.volume_serial_number(), information.file_index())
+        let information = information(file)?;
+        match information.file_index() {
+            // Some network drives have no index.
+            0 => Err(io::ErrorKind::Unsupported.into()),
+            index => Ok((information.volume_serial_number(), index)),
+        }
     }
 
     pub(super) fn name_count(file: &File) -> io::Result<u64> {

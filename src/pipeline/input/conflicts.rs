@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use super::obstacles::ObstacleFiles;
 use super::steps::file_of;
 use crate::pipeline::error::Conflict;
-use crate::pipeline::files::identity::{FileId, canonical_path};
+use crate::pipeline::files::identity::{FileId, canonical_path, entry_key};
 use crate::pipeline::target::outputs::{OutputOptions, output_path};
 
 /// Checks that the outputs of all planned frames (input and stem), and all other `written` files (description
@@ -38,7 +38,7 @@ pub fn check_outputs(
         for &format in &options.formats {
             let output = output_path(&options.folder, stem, format);
             refuse_loss(&output)?;
-            if let Some(other) = maker_of.insert(canonical_path(&output), input) {
+            if let Some(other) = maker_of.insert(entry_key(canonical_path(&output)), input) {
                 let makers = [other, input].map(|input| input.display().to_string());
                 let remedy = "convert them one by one, into different folders".to_owned();
                 return Err(Conflict::SameOutput { output, makers, remedy });
@@ -48,7 +48,7 @@ pub fn check_outputs(
     let mut other_of: HashMap<PathBuf, &'static str> = HashMap::new();
     for &(what, path) in written {
         refuse_loss(path)?;
-        let (output, entry) = (path.to_owned(), canonical_path(path));
+        let (output, entry) = (path.to_owned(), entry_key(canonical_path(path)));
         if let Some(input) = maker_of.get(&entry) {
             let makers = [what.to_owned(), format!("the result of {}", input.display())];
             let remedy = format!("choose another name for {what}");

@@ -187,7 +187,7 @@ impl Frame {
     fn recorded_name(&self, records: &FrameRecords) -> PathBuf {
         let (folder, root) = (&self.outputs.folder, records.folder());
         let within = folder.strip_prefix(root).map(Path::to_owned).ok().or_else(|| {
-            let [folder, root] = [dunce::canonicalize(folder).ok()?, dunce::canonicalize(root).ok()?];
+            let [folder, root] = [folder.canonicalize().ok()?, root.canonicalize().ok()?];
             folder.strip_prefix(root).map(Path::to_owned).ok()
         });
         within.unwrap_or_default().join(&self.stem)

@@ -430,7 +430,7 @@ impl AssetPaths {
 /// The folder of a file, without links.
 fn real_folder(file: &Path) -> Result<PathBuf, String> {
     let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    dunce::canonicalize(folder).map_err(|error| format!("{}: {error}", folder.display()))
+    folder.canonicalize().map_err(|error| format!("{}: {error}", folder.display()))
 }
 
 /// The path from one folder to another, with `/` after each name; absolute if the folders have only the root

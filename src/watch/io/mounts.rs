@@ -33,6 +33,8 @@ pub(crate) fn network_file_system(path: &Path) -> io::Result<Option<&'static str
 /// # Errors
 /// When the path does not exist, or the system refuses.
 pub(crate) fn free_bytes(path: &Path) -> io::Result<u64> {
+    // On Windows, the call below accepts a missing path.
+    path.metadata()?;
     fs4::available_space(path)
 }
 

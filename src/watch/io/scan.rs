@@ -152,10 +152,10 @@ struct ScanLimits {
 
 impl ScanLimits {
     fn new(root: &Path, selection: &FileFilter) -> io::Result<ScanLimits> {
-        let root = dunce::canonicalize(root)?;
+        let root = root.canonicalize()?;
         // A missing folder excludes nothing. A folder that contains the root excludes nothing either: see
         // `excludes`.
-        let excluded = selection.excluded().iter().filter_map(|folder| dunce::canonicalize(folder).ok());
+        let excluded = selection.excluded().iter().filter_map(|folder| folder.canonicalize().ok());
         Ok(ScanLimits { excluded: excluded.collect(), root })
     }
 
@@ -165,7 +165,7 @@ impl ScanLimits {
         if self.excluded.is_empty() {
             return Ok(false);
         }
-        let folder = dunce::canonicalize(folder)?;
+        let folder = folder.canonicalize()?;
         let in_root = folder.starts_with(&self.root);
         let excludes = |excluded: &PathBuf| {
             folder.starts_with(excluded) && !(in_root && self.root.starts_with(excluded))

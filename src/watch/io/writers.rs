@@ -28,7 +28,7 @@ const VALID_PER_SEARCH: u32 = 10;
 pub(crate) fn is_open_for_writing(file: &Path, unchanged_for: Duration) -> bool {
     static LAST: Mutex<Option<OpenFileSearch>> = Mutex::new(None);
 
-    let Ok(path) = dunce::canonicalize(file) else { return false };
+    let Ok(path) = file.canonicalize() else { return false };
     let mut last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
     let is_valid = |search: &&OpenFileSearch| {
         search.began.elapsed() < VALID.max(search.took * VALID_PER_SEARCH).min(unchanged_for)

@@ -205,8 +205,8 @@ impl Kernel for ParticleRun<'_> {
 }
 
 impl ParticleRun<'_> {
-    /// The moments of the particle in this slot, at `at`. If only means are needed and the particle is in full company,
-    /// its mean is all that follows from them: then the second moments are 0.
+    /// The moments of the particle in this slot, at `at`. If only means are needed and the particle is in full
+    /// company, its mean is all that follows from them: then the second moments are 0.
     #[inline(always)]
     fn moments_of<V: Lanes>(
         &self,
@@ -228,7 +228,8 @@ impl ParticleRun<'_> {
         moments::<V, MOMENT_COUNT>(eights, at, within)
     }
 
-    /// Factor from the sum of weights of the particle in this slot to the one that its company is computed from.
+    /// Factor from the sum of weights of the particle in this slot to the one that its company is computed
+    /// from.
     fn weight_scale(&self, slot: usize) -> f32 {
         // Of larger particles fewer fit within the radius, and each stands for more fluid.
         let size = (self.config.own_spacing * self.scale(slot)).max(1.0);

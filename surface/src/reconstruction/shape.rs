@@ -13,8 +13,9 @@
 //! particle. A particle is deep if every voxel within R plus its own r_init is covered. A deep particle then
 //! has neighbors on all sides within R, so their mean is approximately its own position, and its shape is
 //! approximately a ball. The additional r_init puts a layer of moved particles between the deep ones and the
-//! surface, so that the nearest particle of any place outside is a moved one. Where the density of deep particles changes within R, smoothing their positions would open voids;
-//! because they stay where they are, it does not.
+//! surface, so that the nearest particle of any place outside is a moved one. Where the density of deep
+//! particles changes within R, smoothing their positions would open voids; because they stay where they are, it
+//! does not.
 //!
 //! Displacements are computed in blocks, so the result is the same for frames larger than memory.
 
