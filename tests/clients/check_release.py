@@ -266,7 +266,7 @@ def watched(check, command):
 
 @contextlib.contextmanager
 def daemon(command, inputs, out):
-    words = [*map(str, command), "watch", str(inputs), "--out", str(out), "--format", "glb"]
+    words = [*map(str, command), "watch", str(inputs), "--out", str(out), "--format", "glb", "--pattern", "**"]
     process = subprocess.Popen(words, env=surroundings(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         yield process
