@@ -303,11 +303,11 @@ def in_debian_11(program):
         if made.returncode:
             return "no system", [(made.stdout + made.stderr)[-400:]]
         (root / "complete").touch()
-    shutil.copy(program, root / "root" / "meniscus")
-    shutil.copytree(OWN, root / "root" / "frames", dirs_exist_ok=True)
-    shutil.rmtree(root / "root" / "out", ignore_errors=True)
-    ran = run(["chroot", root], ["/root/meniscus", "convert", "/root/frames", "--out", "/root/out"])
-    count = len(list((root / "root" / "out").glob("*.glb")))
+    shutil.copy(program, root / "opt" / "meniscus")
+    shutil.copytree(OWN, root / "opt" / "frames", dirs_exist_ok=True)
+    shutil.rmtree(root / "opt" / "out", ignore_errors=True)
+    ran = run(["chroot", root], ["/opt/meniscus", "convert", "/opt/frames", "--out", "/opt/out"])
+    count = len(list((root / "opt" / "out").glob("*.glb")))
     return f"{count} frames", [] if ran.returncode == 0 and count else [(ran.stdout + ran.stderr)[-400:]]
 
 
