@@ -39,16 +39,8 @@ EXAMPLE_SECONDS_MAX = 30
 FORMATS = "glb,vdb,ply,obj"
 # The processor of this machine may lack some; then the program says so, and uses the next.
 LEVELS = ["baseline", "avx2", "avx512"]
-WINE = "/usr/lib/wine/wine64"
+WINE = ROOT / "tests" / "clients" / "wine"
 QEMU = ["qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"]
-# Rust's standard library imports this function of Windows 10, which Wine 8 lacks.
-RANDOM_OF_WINDOWS = """
-#include <windows.h>
-#include <bcrypt.h>
-__declspec(dllexport) BOOL WINAPI ProcessPrng(PBYTE data, SIZE_T size) {
-    return BCryptGenRandom(NULL, data, (ULONG)size, BCRYPT_USE_SYSTEM_PREFERRED_RNG) == 0;
-}
-"""
 DEBIAN_11 = "bullseye"
 
 
@@ -115,7 +107,7 @@ def unpacked(check, files):
         program = folder / ("meniscus.exe" if system.startswith("windows") else "meniscus")
         size = program.stat().st_size
         faults = [f"{size:,} bytes are over {PROGRAM_MAX:,}"] if size > PROGRAM_MAX else []
-        faults += [f"no {name}" for name in ("README.md", "LICENSE-MIT", "licences.txt") if not (folder / name).exists()]
+        faults += [f"no {name}" for name in ("README.md", "LICENSE-MIT", "licences.txt", "examples/frames/dam.0001.bgeo") if not (folder / name).exists()]
         figures = f"{archive.name}, the program has {size / MB:.1f} MB"
         if not system.startswith("windows"):
             newest = newest_glibc(program)
@@ -123,21 +115,12 @@ def unpacked(check, files):
             faults += [f"it needs glibc {newest}"] if newest > GLIBC_MAX else []
         check.line(system, figures, faults)
         commands[system] = [*prefix, program]
-    make_runnable(only(FOLDER, "meniscus-*-windows-x86_64"))
     return commands
 
 
 def newest_glibc(program):
     said = subprocess.run(["readelf", "--version-info", program], capture_output=True, text=True, check=True).stdout
     return max(tuple(map(int, number.split("."))) for number in re.findall(r"GLIBC_(2[0-9.]+)", said))
-
-
-def make_runnable(folder):
-    """Adds the library that Wine lacks."""
-    source = FOLDER / "random.c"
-    source.write_text(RANDOM_OF_WINDOWS)
-    command = ["x86_64-w64-mingw32-gcc", "-shared", "-O1", "-o", folder / "bcryptprimitives.dll", source, "-lbcrypt"]
-    subprocess.run(command, check=True)
 
 
 # The same bytes
@@ -211,11 +194,7 @@ def results(command, cases, folder, environment=None):
 def run(command, words, environment=None, **options):
     words = [str(word) for word in [*command, *words]]
     options = {"timeout": 1800, "capture_output": True, "text": True, "errors": "replace"} | options
-    return subprocess.run(words, env=surroundings(environment), **options)
-
-
-def surroundings(environment=None):
-    return {**os.environ, "WINEPREFIX": str(FOLDER / "wine"), "WINEDEBUG": "-all", **(environment or {})}
+    return subprocess.run(words, env={**os.environ, **(environment or {})}, **options)
 
 
 def differences(expected, found):
@@ -267,7 +246,7 @@ def watched(check, command):
 @contextlib.contextmanager
 def daemon(command, inputs, out):
     words = [*map(str, command), "watch", str(inputs), "--out", str(out), "--format", "glb", "--pattern", "**"]
-    process = subprocess.Popen(words, env=surroundings(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         yield process
     finally:
