@@ -389,8 +389,11 @@ impl FrameEstimate {
             seconds if seconds < 5400.0 => format!("{:.0} min", (seconds / 60.0).ceil()),
             seconds => format!("{:.1} h", seconds / 3600.0),
         };
-        let gib = self.bytes as f64 / GIB;
-        format!("note: {}: will need about {gib:.1} GiB of memory and {time} (estimates)", shown(input))
+        let memory = match self.bytes as f64 / GIB {
+            gib if gib < 1.0 => format!("{:.0} MiB", (1024.0 * gib).ceil()),
+            gib => format!("{gib:.1} GiB"),
+        };
+        format!("note: {}: will need about {memory} of memory and {time} (estimates)", shown(input))
     }
 }
 
@@ -464,6 +467,9 @@ mod tests {
             large.announcement(Path::new("dam.ply")),
             "note: dam.ply: will need about 2.0 GiB of memory and 2 min (estimates)"
         );
+        let little = FrameEstimate { bytes: 30 << 20, seconds: 90.0 };
+        let announcement = little.announcement(Path::new("dam.ply"));
+        assert_eq!(announcement, "note: dam.ply: will need about 30 MiB of memory and 2 min (estimates)");
     }
 
     #[test]

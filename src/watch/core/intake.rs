@@ -697,11 +697,12 @@ impl Core {
     /// The reason to refuse a frame with an output that would replace a stage; `None` if none would.
     fn replaced_usd_stage(&mut self, id: &FrameId) -> Option<String> {
         let stages = self.config.watches.iter().filter_map(|watch| watch.outputs.stage.as_ref());
-        let stages: Vec<PathBuf> = stages.map(|stage| stage.path.clone()).collect();
+        let stages: Vec<PathBuf> = stages.map(|stage| entry_key(stage.path.clone())).collect();
         if stages.is_empty() {
             return None;
         }
-        let output = self.output_paths(id).into_iter().find(|output| stages.contains(output))?;
+        let is_stage = |output: &PathBuf| stages.contains(&entry_key(output.clone()));
+        let output = self.output_paths(id).into_iter().find(is_stage)?;
         Some(format!("its output {} would replace the stage: give another name to --stage", output.display()))
     }
 
