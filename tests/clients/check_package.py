@@ -24,7 +24,6 @@ from pathlib import Path
 
 from project import OWN, ROOT, WORK, Check
 
-TOOLS = WORK / "tools" / "bin"
 AS_ROOT = [] if os.geteuid() == 0 else ["sudo", "-n"]
 NAME = "meniscus"
 PROGRAM = Path("/usr/bin/meniscus")
@@ -64,10 +63,9 @@ def main():
 
 def made(check):
     """Makes the package. Returns its path, or None after a failure."""
-    environment = {**os.environ, "PATH": f"{TOOLS}:{os.environ['PATH']}"}
     packages, said = [], ""
     for _ in range(2):
-        ran = run(ROOT / ".debian" / "build", env=environment)
+        ran = run(ROOT / ".debian" / "build")
         said = ran.stderr
         if ran.returncode:
             check.line("build", f"exit status {ran.returncode}", said.splitlines()[-5:])
