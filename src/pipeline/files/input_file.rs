@@ -226,6 +226,7 @@ mod tests {
     fn change_during_a_read_is_detected() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("f.ply");
+        #[cfg(unix)]
         let other = folder.path().join("other.ply");
         let write = || fs::write(&path, "text").expect("written");
         let append = || {
@@ -248,6 +249,8 @@ mod tests {
             }
             File::options().write(true).open(&path).expect("there").set_modified(modified).expect("set");
         };
+        // Elsewhere, a file that is open cannot be replaced or removed.
+        #[cfg(unix)]
         let replace = || {
             let modified = fs::metadata(&path).expect("there").modified().expect("a time");
             fs::write(&other, "text").expect("written");
@@ -255,14 +258,17 @@ mod tests {
             fs::rename(&other, &path).expect("renamed");
         };
         let shorten = || File::options().write(true).open(&path).expect("there").set_len(1).expect("cut");
+        #[cfg(unix)]
         let remove = || fs::remove_file(&path).expect("removed");
         let meddles: &[&dyn Fn()] = &[
             &append,
             &write_again,
             #[cfg(unix)]
             &write_unseen,
+            #[cfg(unix)]
             &replace,
             &shorten,
+            #[cfg(unix)]
             &remove,
         ];
         for (index, meddle) in meddles.iter().enumerate() {

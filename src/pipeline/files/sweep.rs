@@ -72,6 +72,7 @@ mod tests {
     use tempfile::tempdir;
 
     #[test]
+    #[cfg_attr(windows, ignore = "Wine cannot release this lock before the file is closed")]
     fn only_abandoned_files_are_swept() {
         let folder = tempdir().expect("a folder");
         let path = folder.path().join("a.glb");

@@ -233,6 +233,7 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(windows, ignore = "a file that is open stays until it is closed")]
     fn file_swept_before_it_was_locked_is_not_used() {
         let folder = tempdir().expect("a folder");
         let path = folder.path().join("a");

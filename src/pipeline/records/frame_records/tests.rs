@@ -412,6 +412,7 @@ fn record_that_leads_out_of_the_folder_is_ignored() {
 }
 
 #[test]
+#[cfg_attr(windows, ignore = "a file that is open stays until it is closed")]
 fn removed_records_are_begun_again() {
     let folder = tempfile::tempdir().expect("a folder");
     let records = FrameRecords::open(folder.path()).expect("opened");
