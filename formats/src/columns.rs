@@ -236,6 +236,10 @@ enum Spelling {
     ColorLetter(char),
     /// `v_0`, `v:0`, and `v[0]` with the bracket as separator.
     Digit(char),
+    /// `COORD1`: for positions only, as `p1` is more often the first pressure.
+    BareDigit,
+    /// `x-coordinate`, `Particle X-Coordinate`: the component comes first.
+    Axis,
     /// Names without a common stem, such as red, green, blue: index into `WORDS`.
     Word(usize),
 }
@@ -250,6 +254,12 @@ fn split_component(name: &str) -> Option<(&str, Spelling, usize)> {
     if let Some((stem, index)) = name.strip_suffix(']').and_then(|inside| inside.rsplit_once('[')) {
         return Some((stem, Spelling::Digit('['), component_index(index)?));
     }
+    if let Some((axis, stem)) = name.rsplit_once('-')
+        && stem.eq_ignore_ascii_case("coordinate")
+        && let Some(index) = letter_index("xyz", axis.rsplit(' ').next()?)
+    {
+        return Some((stem, Spelling::Axis, index));
+    }
     if let Some((at, separator)) = name.char_indices().rev().find(|(_, c)| ['_', '.', ':', ' '].contains(c)) {
         let (stem, component) = (&name[..at], &name[at + 1..]);
         if let Some(index) = component_index(component) {
@@ -263,8 +273,13 @@ fn split_component(name: &str) -> Option<(&str, Spelling, usize)> {
         }
     }
     let (at, _) = name.char_indices().next_back()?;
-    let index = letter_index("xyz", &name[at..])?;
-    Some((&name[..at], Spelling::Bare, index))
+    let (stem, component) = name.split_at(at);
+    if ["coord", "coords", "pos"].iter().any(|numbered| stem.eq_ignore_ascii_case(numbered))
+        && let Some(index) = component_index(component)
+    {
+        return Some((stem, Spelling::BareDigit, index));
+    }
+    Some((stem, Spelling::Bare, letter_index("xyz", component)?))
 }
 
 fn component_index(digits: &str) -> Option<usize> {
@@ -291,7 +306,8 @@ impl Family<'_> {
     /// The columns of components 0, 1, 2 and so on, up to the first missing one. Three or more numbered
     /// components may start at 1, as in MATLAB: `pos_1`, but not `p_1`, which is a pressure.
     fn contiguous(&self) -> Vec<usize> {
-        let is_named = self.stem.len() > 1 && matches!(self.spelling, Spelling::Digit(_));
+        let is_named =
+            self.stem.len() > 1 && matches!(self.spelling, Spelling::Digit(_) | Spelling::BareDigit);
         let first = usize::from(is_named && self.components.len() > 2 && self.components[0].0 == 1);
         let consecutive =
             self.components.iter().zip(first..).take_while(|((found, _), expected)| found == expected);
@@ -302,7 +318,11 @@ impl Family<'_> {
     fn arity_min(&self) -> usize {
         match self.spelling {
             Spelling::Letter(_) | Spelling::Digit(_) => 2,
-            Spelling::Bare | Spelling::ColorLetter(_) | Spelling::Word(_) => 3,
+            Spelling::Bare
+            | Spelling::BareDigit
+            | Spelling::Axis
+            | Spelling::ColorLetter(_)
+            | Spelling::Word(_) => 3,
         }
     }
 }
@@ -338,6 +358,8 @@ impl<'a> Families<'a> {
             let stem = match family.spelling {
                 Spelling::Word(word_index) => WORDS[word_index].0,
                 Spelling::ColorLetter(_) => continue,
+                // The centre of a grain or a cell.
+                Spelling::Bare if family.stem.eq_ignore_ascii_case("c") => "center",
                 _ => family.stem,
             };
             let stem = stem.to_ascii_lowercase();
@@ -388,6 +410,9 @@ const POSITIONS: &[&str] = &[
     "coord",
     "location",
     "p",
+    "centroid",
+    "center",
+    "centre",
     "unwrapped",
 ];
 
@@ -423,7 +448,10 @@ const ROLES: &[(AttributeRole, &[&str])] = &[
     ),
     (AttributeRole::Density, &["density", "densities", "rho", "rhop"]),
     (AttributeRole::Mass, &["mass", "masses"]),
-    (AttributeRole::Id, &["id", "ids", "idp", "particle_id", "particleid", "particleids", "index"]),
+    (
+        AttributeRole::Id,
+        &["id", "ids", "idp", "particle_id", "particleid", "particleids", "particle identifier", "index"],
+    ),
     (
         AttributeRole::Kind,
         &[
@@ -527,6 +555,23 @@ mod tests {
             ("p_1,p_2,p_3", "[] | p_1 [0] | p_2 [1] | p_3 [2]"),
             // Blender.
             ("id,location_x,location_y,location_z", "[1, 2, 3] | id [0] Id"),
+            // Fluent, Rocky, Abaqus and OVITO.
+            ("nodenumber,    x-coordinate,    y-coordinate,    z-coordinate", "[1, 2, 3] | nodenumber [0]"),
+            (
+                "ID,Particle X-Coordinate [m],Particle Y-Coordinate [m],Particle Z-Coordinate [m],Mass",
+                "[1, 2, 3] | ID [0] Id | Mass [4] Mass",
+            ),
+            ("Node Label,COORD1,COORD2,COORD3,S", "[1, 2, 3] | Node Label [0] | S [4]"),
+            (
+                r#""Particle Identifier","Position.X","Position.Y","Position.Z""#,
+                "[1, 2, 3] | Particle Identifier [0] Id",
+            ),
+            // Centres of grains and cells.
+            ("id,cx,cy,cz,d", "[1, 2, 3] | id [0] Id | d [4]"),
+            ("x,y,z,cx,cy,cz", "[0, 1, 2] | c [3, 4, 5]"),
+            ("centroid_x,centroid_y,centroid_z,volume", "[0, 1, 2] | volume [3]"),
+            // Pressures at gauges.
+            ("t,p1,p2,p3", "[] | t [0] | p1 [1] | p2 [2] | p3 [3]"),
             // Research codes.
             ("ID,X,Y,Z,VX,VY,VZ", "[1, 2, 3] | ID [0] Id | V [4, 5, 6] Velocity"),
             ("x,y,z,velx,vely,velz", "[0, 1, 2] | vel [3, 4, 5] Velocity"),

@@ -8,6 +8,7 @@ use crate::data::MeshData;
 use crate::error::{Error, Position, Result};
 use crate::gltf::ReadExternal;
 use crate::limits::Limits;
+use crate::obj_points;
 use crate::ply;
 use crate::probe::{Probe, ProbedKind, probe};
 use crate::table::Format;
@@ -46,8 +47,8 @@ pub fn read_mesh(
 }
 
 /// Whether a file probably contains a mesh, judged by its first bytes: its format is for meshes only, or it
-/// is PLY or VTK XML and declares faces. In the legacy format of VTK, cells are behind the points, beyond the
-/// first bytes: such a file counts as particles. So does an Alembic archive of another program.
+/// is PLY or VTK XML and declares faces. In the legacy format of VTK and in OBJ, faces are often behind the points,
+/// beyond the first bytes: such a file counts as particles. So does an Alembic archive of another program.
 pub fn looks_like_mesh(head: &[u8], file_name: &str) -> bool {
     let Probe { kind, codec } = probe_mesh(head, file_name);
     let head: Cow<[u8]> =
@@ -57,6 +58,7 @@ pub fn looks_like_mesh(head: &[u8], file_name: &str) -> bool {
         ProbedKind::Format(Format::Vtp) => vtk::holds_polys(&head),
         ProbedKind::Format(Format::Abc) => abc::is_own(&head),
         ProbedKind::Format(Format::Usda | Format::Usdc) => declares_mesh(&head),
+        ProbedKind::Format(Format::Obj) => obj_points::has_faces(&head),
         kind => kind.format().is_some_and(|format| format.has_mesh() && !format.has_particles()),
     }
 }
@@ -193,7 +195,8 @@ mod tests {
             ("ply\nformat ascii 1.0\n".to_owned(), "a.ply", false),
             (vtp(1), "a.vtp", true),
             (vtp(0), "a.vtp", false),
-            ("v 1 2 3\nv 4 5 6\n".to_owned(), "a.obj", true),
+            ("v 1 2 3\nv 4 5 6\n".to_owned(), "a.obj", false),
+            ("v 1 2 3\nv 4 5 6\nv 7 8 8\nf 1 2 3\n".to_owned(), "a.obj", true),
             ("glTF\u{2}\0\0\0".to_owned(), "a", true),
             ("# vtk DataFile Version 5.1\nx\nASCII\n".to_owned(), "a.vtk", false),
             ("x,y,z\n1,2,3\n".to_owned(), "a.csv", false),

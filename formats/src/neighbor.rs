@@ -1,8 +1,12 @@
 //! Recognises files that lie beside the frames of a simulation in formats of particles, but are none.
 
+use std::io;
+
 use crate::batches::ReadAt;
 use crate::compression::Codec;
+use crate::csv;
 use crate::limits::Limits;
+use crate::obj_points;
 use crate::ply;
 use crate::probe::{HEAD_BYTES, ProbedKind, probe};
 use crate::table::Format;
@@ -19,6 +23,8 @@ pub enum Neighbor {
     Mesh,
     /// A grid, or other data without a list of points.
     Grid,
+    /// A table without positions of particles, such as the pressures at a gauge.
+    Table,
 }
 
 impl Neighbor {
@@ -31,6 +37,7 @@ impl Neighbor {
             }
             Neighbor::Mesh => ["a mesh, not particles", "meshes, not particles"],
             Neighbor::Grid => ["a grid, not particles", "grids, not particles"],
+            Neighbor::Table => ["a table without particles", "tables without particles"],
         }
     }
 }
@@ -51,6 +58,15 @@ pub fn neighbor(head: &[u8], file_name: &str, file: &dyn ReadAt) -> Option<Neigh
                 ply::read_header(start, &Limits::default()).is_ok_and(|header| header.has_faces());
             has_faces.then_some(Neighbor::Mesh)
         }
+        Format::Delimited => {
+            let whole_lines = start.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
+            csv::is_other_table(&start[..whole_lines]).then_some(Neighbor::Table)
+        }
+        Format::Obj => {
+            let has_faces = obj_points::has_faces(start)
+                || unpacked.is_none() && tail(file).is_ok_and(|tail| obj_points::has_faces(&tail));
+            has_faces.then_some(Neighbor::Mesh)
+        }
         Format::Vtp => vtk::xml_neighbor(start),
         Format::VtkIndex => Some(Neighbor::Index),
         // Of a compressed file, only the beginning is read.
@@ -58,6 +74,20 @@ pub fn neighbor(head: &[u8], file_name: &str, file: &dyn ReadAt) -> Option<Neigh
         Format::VtkLegacy => vtk::legacy_neighbor(file),
         _ => None,
     }
+}
+
+/// The last bytes of a file, from the beginning of a line on.
+fn tail(file: &dyn ReadAt) -> io::Result<Vec<u8>> {
+    const TAIL_BYTES: u64 = 64 << 10;
+    let size = file.size_bytes()?;
+    let start = size.saturating_sub(TAIL_BYTES);
+    let mut tail = vec![0; usize::try_from(size - start).unwrap_or_default()];
+    file.read_exact_at(&mut tail, start)?;
+    if start > 0 {
+        let line_end = tail.iter().position(|&byte| byte == b'\n').map_or(tail.len(), |end| end + 1);
+        tail.drain(..line_end);
+    }
+    Ok(tail)
 }
 
 #[cfg(test)]
@@ -93,6 +123,7 @@ mod tests {
         let points = "POINTS 3 float\n0 0 0 1 0 0\nnan 1 0\n";
         let metadata = "METADATA\nINFORMATION 0\n\n";
         let (mesh, index, grid) = (Some(Neighbor::Mesh), Some(Neighbor::Index), Some(Neighbor::Grid));
+        let table = Some(Neighbor::Table);
         for (bytes, name, expected) in [
             (ply("element face 1\nproperty list uchar int vertex_indices\n"), "a.ply", mesh),
             (ply("element face 0\nproperty list uchar int vertex_indices\n"), "a.ply", None),
@@ -142,7 +173,14 @@ mod tests {
             (xml("PUnstructuredGrid", ""), "a.pvtu", index),
             (xml("vtkMultiBlockDataSet", ""), "a.vtm", index),
             (xml("ImageData", ""), "a.vti", grid),
+            (b"v 0 0 0\nv 1 0 0\nv 0 1 0\np 1 2 3\n".to_vec(), "a.obj", None),
+            (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".to_vec(), "a.obj", mesh),
             (b"x,y,z\n0,0,0\n".to_vec(), "a.csv", None),
+            (b"Time (s),p1,p2,p3\n0,1,2,3\n1,4,5,6\n".to_vec(), "gauge.csv", table),
+            (b"# by hand\nstep energy\n0 1.5\n1 1.25\n".to_vec(), "energy.dat", table),
+            (b"time,x,y,z\n0,0.1,0.1,0.1\n0.1,0.2,0.1,0.1\n".to_vec(), "probe.csv", table),
+            (b"time,x,y,z\n0.5,0.1,0.1,0.1\n0.5,0.2,0.1,0.1\n".to_vec(), "a.csv", None),
+            (b"0.0 1000 0.01\n0.1 1000 0.01\n".to_vec(), "a.dat", None),
             (Vec::new(), "a.vtk", None),
         ] {
             let shown = String::from_utf8_lossy(&bytes).into_owned();
@@ -162,6 +200,16 @@ mod tests {
         let head = "# vtk DataFile Version 4.2\nt\nASCII\nDATASET POLYDATA\n";
         let text = format!("{head}{metadata}\nPOLYGONS 1 4\n");
         assert_eq!(neighbor(&text.as_bytes()[..8192], "a.vtk", &text.as_bytes()), None);
+    }
+
+    /// Programs without a header write all vertices before the first face.
+    #[test]
+    fn faces_at_the_end_of_a_long_obj_are_found() {
+        let points = "v 0.25 0.5 0.75\n".repeat(20_000);
+        let mesh = format!("{points}f 1 2 3\n");
+        for (text, expected) in [(points, None), (mesh, Some(Neighbor::Mesh))] {
+            assert_eq!(neighbor(&text.as_bytes()[..8192], "a.obj", &text.as_bytes()), expected);
+        }
     }
 
     #[test]

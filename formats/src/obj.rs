@@ -7,18 +7,23 @@ use rayon::prelude::*;
 
 use crate::data::{MeshData, MeshView, Provenance, VertexAttribute, world};
 use crate::error::{Error, Position, Result};
+use crate::obj_points;
 use crate::options::{MeshOptions, WriteOption};
 use crate::provenance::{GENERATOR, comments, from_comments};
-use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
+use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleReader};
 use crate::text::{NumberWriter, ends_with_line, excerpt};
 use crate::vertex_attributes::{Face, Purpose, check_quads, clamp_note, faces, purposes, quad_count};
 
 /// The format's name in errors.
-const FORMAT: &str = "OBJ";
+pub(crate) const FORMAT: &str = "OBJ";
 
 /// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
-    format: FormatRow { read_mesh: Some(|bytes, _, _| read_mesh(bytes)), ..FormatRow::new(FORMAT, &["obj"]) },
+    format: FormatRow {
+        particles: Some(ParticleReader::new(obj_points::read)),
+        read_mesh: Some(|bytes, _, _| read_mesh(bytes)),
+        ..FormatRow::new(FORMAT, &["obj"])
+    },
     help: "Wavefront OBJ",
     content: Content::Mesh(MeshWriter {
         attribute_notes,

@@ -14,6 +14,7 @@ use crate::compression::{Codec, name_without_compression};
 use crate::csv;
 use crate::json;
 use crate::neighbor::Neighbor;
+use crate::obj_points;
 use crate::table::Format;
 use crate::text::{Lines, parse_number};
 use crate::usd::{declares_mesh, has_clips};
@@ -115,6 +116,7 @@ pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
     let looks: fn(&[u8]) -> bool = match probe(head, file_name).kind {
         ProbedKind::Format(Format::Delimited) => csv::looks_like_particles,
         ProbedKind::Format(Format::Json) => json::looks_like_particles,
+        ProbedKind::Format(Format::Obj) => |head| !obj_points::has_faces(head),
         // The content of other archives is known only from their end.
         ProbedKind::Format(Format::Abc) => |head| !abc::is_own(head),
         ProbedKind::Format(Format::Usda | Format::Usdc) => |head| !declares_mesh(head) && !has_clips(head),
@@ -369,6 +371,43 @@ fn looks_like_pdb(text: &[u8]) -> bool {
     Lines::new(text).any(is_atom) || text.starts_with(b"HEADER    ")
 }
 
+/// Whether a text has an atom of the format PQR: like the Protein Data Bank, with a charge and a radius after the
+/// position, separated by blanks.
+fn looks_like_pqr(text: &[u8]) -> bool {
+    let is_number = |word: &&[u8]| parse_number::<f64>(word).is_some();
+    let is_atom = |line: &[u8]| {
+        let words: Vec<&[u8]> = words(line).collect();
+        let is_named = matches!(words.first(), Some(&(b"ATOM" | b"HETATM")));
+        is_named && matches!(words.len(), 10 | 11) && words.iter().rev().take(5).all(is_number)
+    };
+    Lines::new(text).any(is_atom)
+}
+
+/// Whether a text has the layout of a POSCAR of VASP: a comment, a scale, three edges of the cell, elements, their counts,
+/// and the kind of the coordinates.
+fn looks_like_poscar(text: &[u8]) -> bool {
+    let mut lines = Lines::new(text).skip(1);
+    let mut numbers = || {
+        let words: Option<Vec<f64>> = words(lines.next()?).map(|word| Some(parse_number(word)?.0)).collect();
+        words.map(|words| words.len())
+    };
+    let has_cell = numbers() == Some(1) && (0..3).all(|_| numbers() == Some(3));
+    let elements = lines.next().unwrap_or_default();
+    let counts = lines.next().unwrap_or_default();
+    let is_word = |word: &[u8]| word.iter().all(u8::is_ascii_alphabetic);
+    let is_count = |word: &[u8]| word.iter().all(u8::is_ascii_digit);
+    let count = words(elements).count();
+    has_cell
+        && count > 0
+        && words(elements).all(is_word)
+        && words(counts).count() == count
+        && words(counts).all(is_count)
+}
+
+fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> {
+    line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty())
+}
+
 /// Whether each of these ranges of columns contains a number.
 fn have_numbers<const N: usize>(line: &[u8], columns: [Range<usize>; N]) -> bool {
     columns.into_iter().all(|columns| {
@@ -412,15 +451,15 @@ const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
     (b"ASTM-E57", E57),
     (b"LASF", LAS),
     (b"MATLAB 5.0 MAT-file", "MATLAB"),
+    (b"\xdf\x65\xdf\x65\xdf\x65\xdf\x65", GSD),
+    (b"T\0\0\0CORD", DCD),
+    (b"\0\0\0TCORD", DCD),
     (b"PAR1", "Parquet"),
     (b"\x80\x04\x95", PICKLE),
     (b"\x80\x05\x95", PICKLE),
     (b"\xfd7zXZ\0", "XZ archive"),
     (b"BZh", "bzip2 archive"),
     (b"version https://git-lfs.github.com/spec/", GIT_LFS),
-    (b"# .PCD v", PCD),
-    (b"VERSION .7\nFIELDS ", PCD),
-    (b"VERSION 0.7\nFIELDS ", PCD),
 ];
 
 type TextTest = fn(&[u8]) -> bool;
@@ -430,6 +469,8 @@ const FOREIGN_TEXTS: &[(&str, TextTest)] = &[
     (LAMMPS_DATA, looks_like_lammps_data),
     (GRO, looks_like_gro),
     (PDB, looks_like_pdb),
+    (PQR, looks_like_pqr),
+    (POSCAR, looks_like_poscar),
     (TECPLOT, looks_like_tecplot),
     (OPENFOAM, |text| {
         text.starts_with(b"FoamFile") || text.starts_with(b"/*") && contains(text, b"\nFoamFile")
@@ -443,7 +484,6 @@ pub(crate) const REMEDIES: &[(&str, &str)] = &[
         "this is a `write_data` file, and only dumps are supported: write one with `write_dump all custom FILE id type x y z`",
     ),
     (GIT_LFS, "this is only the reference to a file in Git LFS: get the file itself with `git lfs pull`"),
-    (PCD, SCAN),
     (E57, SCAN),
     (LAS, SCAN),
     (
@@ -465,8 +505,12 @@ pub(crate) const REMEDIES: &[(&str, &str)] = &[
         PICKLE,
         "Python objects are not supported: save the positions with numpy.save, or all arrays with numpy.savez",
     ),
-    (GRO, "files of molecules in this format are not supported: save them as XYZ, for example with OVITO"),
-    (PDB, "files of molecules in this format are not supported: save them as XYZ, for example with OVITO"),
+    (GRO, MOLECULES),
+    (PDB, MOLECULES),
+    (PQR, MOLECULES),
+    (POSCAR, MOLECULES),
+    (GSD, MOLECULES),
+    (DCD, MOLECULES),
     (
         TECPLOT,
         "tables in this format are not supported: save them as CSV with a header such as x,y,z, or as VTK",
@@ -483,13 +527,14 @@ pub(crate) const REMEDIES: &[(&str, &str)] = &[
 
 const SCAN: &str =
     "point clouds in this format are not supported: save them as PLY, for example with CloudCompare";
+const MOLECULES: &str =
+    "files of molecules in this format are not supported: save them as XYZ, for example with OVITO";
 const PARTIO: &str =
     "particles in this format are not supported: convert them to BGEO with Partio's partconvert";
 
 /// The output of LAMMPS's `write_data` command.
 const LAMMPS_DATA: &str = "LAMMPS data";
 const GIT_LFS: &str = "Git LFS pointer";
-const PCD: &str = "PCD point cloud";
 const BI4: &str = "DualSPHysics .bi4";
 const PRT2: &str = "Krakatoa PRT 2";
 const REALFLOW: &str = "RealFlow BIN";
@@ -502,6 +547,10 @@ const ADIOS: &str = "ADIOS2";
 const PICKLE: &str = "Python pickle";
 const GRO: &str = "GROMACS .gro";
 const PDB: &str = "Protein Data Bank .pdb";
+const PQR: &str = "PQR";
+const POSCAR: &str = "POSCAR of VASP";
+const GSD: &str = "GSD of HOOMD-blue";
+const DCD: &str = "DCD";
 const TECPLOT: &str = "Tecplot";
 const OPENFOAM: &str = "OpenFOAM";
 /// A mesh of Mantaflow, Blender's fluid simulation.
@@ -622,7 +671,7 @@ mod tests {
                 "a.ply",
                 ProbedKind::Foreign(GIT_LFS),
             ),
-            (b"VERSION .7\nFIELDS x y z\n", "a.pcd", ProbedKind::Foreign(PCD)),
+            (b"VERSION .7\nFIELDS x y z\n", "a.pcd", ProbedKind::Format(Format::Pcd)),
             (b"#FileJBD BI4Part \n\0\x01", "Part_0001.bi4", ProbedKind::Foreign(BI4)),
             (b"\x10\0\0\0\0\0\x80\x3f", "fluid_mesh_0001.bobj", ProbedKind::Foreign(BOBJ)),
             (
@@ -635,6 +684,18 @@ mod tests {
                 "a.pdb",
                 ProbedKind::Foreign(PDB),
             ),
+            (
+                b"ATOM      1  N   ALA     1      10.1  20.2  30.3 -0.30 1.85\n",
+                "a.pqr",
+                ProbedKind::Foreign(PQR),
+            ),
+            (
+                b"water\n1.0\n6 0 0\n0 5 0\n0 0 4\nO H\n1 2\nCartesian\n0 0 0\n",
+                "poscar",
+                ProbedKind::Foreign(POSCAR),
+            ),
+            (b"T\0\0\0CORD\x01", "a.dcd", ProbedKind::Foreign(DCD)),
+            (b"\xdf\x65\xdf\x65\xdf\x65\xdf\x65\0", "a.gsd", ProbedKind::Foreign(GSD)),
             (
                 b"title = \"t\"\nVARIABLES=\"X\",\"Y\",\"Z\"\nZONE\n1 2 3\n",
                 "a.dat",
@@ -691,7 +752,8 @@ mod tests {
             (b"{\"time\": 0.5, \"particles\": [[1, 2, 3]]}", "a.json", true),
             (b"{\"positions\": [1, 2, 3, 4, 5, 6]}", "a.json", true),
             (b"{\"fluid\": {}, \"points\": [[1, 2, 3]]}", "a.json", true),
-            (b"v 1 2 3\nv 4 5 6\n", "mesh.obj", false),
+            (b"v 1 2 3\nv 4 5 6\n", "points.obj", true),
+            (b"v 1 2 3\nv 4 5 6\nv 7 8 8\nf 1 2 3\n", "mesh.obj", false),
             (b"by hand\n2 atoms\n1 atom types\n\nAtoms\n\n1 1 0.5 0.5 0.5\n", "a.data", false),
             (b"", "empty.csv", false),
             (b"x,y,z\n", "a.csv", true),

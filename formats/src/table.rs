@@ -127,6 +127,8 @@ formats! {
         RawXyz => crate::xyz::ROW,
         /// One NumPy array.
         Npy => crate::npy::ROW,
+        /// Point clouds of the Point Cloud Library.
+        Pcd => crate::pcd::ROW,
         /// OpenVDB with grids of points.
         VdbPoints => crate::vdb::POINTS,
         /// Named NumPy arrays in a ZIP archive.

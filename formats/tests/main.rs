@@ -17,8 +17,10 @@ mod mesh_formats; // .vtp, .stl and USD
 mod mesh_read; // meshes written by other programs
 mod mesh_write; // .glb, .gltf, .obj and .ply
 mod npy; // NumPy arrays
+mod obj_points; // OBJ files without faces
 mod obstacle; // obstacles in all supported formats
 mod particle_write; // particles as .ply and .vtp
+mod pcd; // PCD
 mod ply; // all dialects of PLY
 mod prt; // PRT
 mod sequences; // sequences assembled from the .glb files of frames

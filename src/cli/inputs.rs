@@ -485,8 +485,11 @@ impl MatchedInputs {
         Ok(())
     }
 
-    /// Adds those of the files in a folder that are frames. The files that another one joins to a frame are not.
+    /// Adds those of the files in a folder that are frames. The files that another one joins to a frame are not. Tables
+    /// in which no position was found are frames if nothing else is: their errors then say what was expected.
     fn add_files(&mut self, files: &[PathBuf]) {
+        let count_before = self.count();
+        let mut tables = Vec::new();
         let joined: HashSet<PathBuf> =
             files.iter().filter(|path| joins_files(path)).flat_map(|path| files_joined_by(path)).collect();
         for path in files {
@@ -498,6 +501,7 @@ impl MatchedInputs {
                 Ok(SniffedContent::Particles | SniffedContent::OwnParticles) => {
                     self.files.push(FrameFile::new(path.clone()));
                 }
+                Ok(SniffedContent::Neighbor(Neighbor::Table)) => tables.push(path.clone()),
                 Ok(SniffedContent::Neighbor(neighbor)) => self.skip(Some(neighbor), path.clone(), 1),
                 Ok(SniffedContent::OwnOutput | SniffedContent::NotParticles) => {
                     self.skip(None, path.clone(), 1);
@@ -507,6 +511,11 @@ impl MatchedInputs {
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {}
                 Err(error) => self.unreadable.push((path.clone(), error.to_string())),
             }
+        }
+        if self.count() == count_before {
+            self.files.extend(tables.into_iter().map(FrameFile::new));
+        } else {
+            tables.into_iter().for_each(|path| self.skip(Some(Neighbor::Table), path, 1));
         }
     }
 

@@ -78,6 +78,9 @@ fn remedy(warning: &Warning) -> Option<String> {
         Warning::Input(InputWarning::SeveralKinds { attribute, .. }) => {
             format!("choose some with --where, such as --where '{attribute} == VALUE'")
         }
+        Warning::Input(InputWarning::VariousRadii { attribute, .. }) => {
+            format!("--radius-attribute {attribute} uses them")
+        }
         Warning::Input(InputWarning::NotFollowed) => {
             "write `id` with the particles, or `velocity`, and give --time-step".to_owned()
         }

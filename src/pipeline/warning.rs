@@ -45,6 +45,8 @@ pub enum InputWarning {
     /// The particles are of several kinds, such as fluid and walls, according to an attribute with these
     /// values, and no condition chooses some of them.
     SeveralKinds { attribute: String, values: Vec<String> },
+    /// The particles carry radii of different sizes, in world units, and no option uses them.
+    VariousRadii { attribute: String, smallest: f64, largest: f64 },
     /// No particle of the frame meets the condition.
     NoneChosen { condition: String, particle_count: usize },
     /// The file has more grids than the one that was read.
@@ -273,6 +275,12 @@ impl fmt::Display for InputWarning {
                 "the attribute `{attribute}` has {} values ({}), and particles with any of them become one surface",
                 values.len(),
                 values.join(", ")
+            ),
+            InputWarning::VariousRadii { attribute, smallest, largest } => write!(
+                f,
+                "the particles carry radii from {} to {} (`{attribute}`), which are not used",
+                significant(*smallest),
+                significant(*largest)
             ),
             InputWarning::NoneChosen { condition, particle_count } => {
                 let particles = particles(particle_count);

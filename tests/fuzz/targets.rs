@@ -23,7 +23,7 @@ use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
     ContainerFile, Format, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind,
     ReadAt, Result, Sample, Values, abc, bgeo, completeness, compression, container, csv, gltf, hdf5,
-    houdini, is_complete, json, lammps, looks_like_particles, npy, obj, ply, png, probe, prt, read_mesh,
+    houdini, is_complete, json, lammps, looks_like_particles, npy, obj, pcd, ply, png, probe, prt, read_mesh,
     read_obstacle, read_particles, read_provenance, stl, usda, usdc, vdb, vtk, xdmf, xyz, xyz_ext,
 };
 use twox_hash::XxHash3_64;
@@ -64,6 +64,7 @@ pub(crate) const TARGETS: &[Target] = &[
     plain("npy", |bytes| checked(npy::read(bytes, &limits()))),
     compressed("npz", |bytes| checked(npy::read_archive(bytes, &limits()))),
     compressed("prt", |bytes| checked(prt::read(bytes, &limits()))),
+    compressed("pcd", |bytes| checked(pcd::read(bytes, &limits()))),
     plain("json", |bytes| checked(json::read(bytes, &limits()))),
     compressed("hdf5", |bytes| container(bytes, bytes, hdf5::samples, hdf5::read)),
     compressed("xdmf", |bytes| list(bytes, xdmf::samples, xdmf::read)),

@@ -99,6 +99,44 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
     has_header && text_last.is_none()
 }
 
+/// Whether a text starts like a table of something else than particles: its header names no position; or it also names
+/// a time, and the first rows are of several times, as those of a probe. `head` ends with a whole line, or the file.
+pub(crate) fn is_other_table(head: &[u8]) -> bool {
+    let (text, limits) = (super::decoded(head), Limits::default());
+    let mut lines = HeadLines::new(&text, &limits);
+    let mut next = || loop {
+        match lines.next_line() {
+            Ok(Some(line)) if comment(line.text).is_some() => {}
+            Ok(line) => return line.map(|line| line.text),
+            Err(_) => return None,
+        }
+    };
+    let (Some(names), Some(row)) = (next(), next()) else { return false };
+    let is_row = |row: &[u8], delimiter, count| {
+        let is_number =
+            |cell| matches!(parse_cell(&unquoted(cell)), CellValue::Number(_) | CellValue::Missing);
+        has_cells(row, delimiter, count) && cells(row, delimiter).take(count).all(is_number)
+    };
+    let fits = |&delimiter: &Delimiter| {
+        let count = cells(names, delimiter).count();
+        count > 1 && is_header_like(names, delimiter, count) && is_row(row, delimiter, count)
+    };
+    let Some(delimiter) = DELIMITERS.into_iter().find(fits) else { return false };
+    if headers(names, &limits).next().is_none() {
+        return true;
+    }
+    let name = |cell| String::from_utf8_lossy(&unquoted(cell)).into_owned();
+    let Some(time) = cells(names, delimiter).map(name).position(|name| super::is_time(&name)) else {
+        return false;
+    };
+    let time_of = |row| match cells(row, delimiter).nth(time).map(|cell| parse_cell(&unquoted(cell))) {
+        Some(CellValue::Number(time)) => Some(time),
+        _ => None,
+    };
+    let first = time_of(row);
+    std::iter::from_fn(next).filter_map(time_of).any(|time| first.is_some_and(|first| time > first))
+}
+
 /// Whether a line names a position, and so can be a header.
 pub(crate) fn names_position(line: &[u8]) -> bool {
     headers(line, &Limits::default()).next().is_some()

@@ -28,6 +28,7 @@
 //! dumps see [`crate::lammps`].
 
 mod layout;
+mod raw_bytes;
 mod rows;
 
 use std::borrow::Cow;
@@ -35,7 +36,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-pub(crate) use layout::{looks_like_particles, names_position};
+pub(crate) use layout::{is_other_table, looks_like_particles, names_position};
 
 use crate::columns::{self, Group, of_integers};
 use crate::row::{FormatRow, ParticleReader};
@@ -60,10 +61,15 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     if bytes.is_empty() {
         return Err(Error::truncated(FORMAT, Position::File, "expected text, found an empty file"));
     }
-    let text = decoded(bytes);
-    refuse_binary(&text)?;
+    let mut text = decoded(bytes);
+    let mut note = None;
+    if let Err(error) = refuse_binary(&text) {
+        let (numbers, of_bytes) = raw_bytes::with_numbers(&text).ok_or(error)?;
+        (text, note) = (numbers.into(), Some(of_bytes));
+    }
     let text = layout::with_decimal_points(text);
-    let layout = layout::layout(&text, limits)?;
+    let mut layout = layout::layout(&text, limits)?;
+    layout.notes.extend(note);
     let table = read_table_rows(&text, &layout, limits)?;
     check_times(&layout, &table)?;
     frame(layout, table)
@@ -141,11 +147,7 @@ fn refuse_binary(bytes: &[u8]) -> Result<()> {
     let is_control = |byte: &u8| *byte < b' ' && !matches!(byte, b'\t' | b'\n' | b'\r' | 0x0c);
     match sample.iter().position(is_control) {
         Some(offset) => {
-            let what = format!(
-                "expected text, found the byte 0x{:02x}: this is binary data, or a program wrote 8-bit numbers as \
-                 characters, as ParaView does: convert them to 32-bit integers before you save the table",
-                sample[offset]
-            );
+            let what = format!("expected text, found the byte 0x{:02x}: this is binary data", sample[offset]);
             Err(Error::invalid(FORMAT, Position::Offset(offset as u64), what))
         }
         None => Ok(()),
@@ -244,8 +246,7 @@ fn append(table: &mut Table, next: Table) {
 /// Refuses a table of several frames, with a column of their times: ids that repeat, or times in ascending
 /// order, show that they are not the times of particles.
 fn check_times(layout: &TableLayout, table: &Table) -> Result<()> {
-    let is_time = |name: &String| TIMES.contains(&&*without_unit(name).to_ascii_lowercase());
-    let Some(index) = layout.names.iter().position(is_time) else { return Ok(()) };
+    let Some(index) = layout.names.iter().position(|name| is_time(name)) else { return Ok(()) };
     let Some(times) = table.columns[index].numbers() else { return Ok(()) };
     let groups = layout::group(&layout.names, |index| table.columns[index].is_text()).groups;
     let id = groups.iter().find(|group| group.role == Some(AttributeRole::Id));
@@ -266,6 +267,11 @@ fn check_times(layout: &TableLayout, table: &Table) -> Result<()> {
         quoted_excerpt(layout.names[index].as_bytes())
     );
     Err(Error::unsupported(FORMAT, what))
+}
+
+/// Whether a column has the time of a frame, by its name.
+fn is_time(name: &str) -> bool {
+    TIMES.contains(&&*without_unit(name).to_ascii_lowercase())
 }
 
 /// Names of a column with the time of a frame, in lower case.

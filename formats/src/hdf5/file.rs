@@ -26,11 +26,11 @@ use hdf5_reader::{
 };
 
 use super::FORMAT;
-use super::lzf;
 use crate::batches::ReadAt;
 use crate::bytes::Endian;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
+use crate::lzf;
 use crate::named_arrays::NamedArray;
 use crate::number::NumberType;
 use crate::text::{escaped, excerpt, excerpts};
@@ -173,6 +173,9 @@ pub(super) struct HdfField {
     endian: Endian,
 }
 
+/// The number under which the filter LZF of h5py is registered. `hdf5-reader` lacks it.
+const LZF: u16 = 32000;
+
 impl<'a> HdfFile<'a> {
     fn open(
         requests: Sender<Option<PieceRequest>>,
@@ -184,9 +187,15 @@ impl<'a> HdfFile<'a> {
         let chunk_bytes = bytes(budget / 4);
         let mut filters = FilterRegistry::new();
         filters.register(
-            lzf::FILTER,
+            LZF,
             Box::new(move |filter, packed, _| {
-                lzf::unpacked(packed, filter.client_data.get(2).copied(), chunk_bytes)
+                let size = filter.client_data.get(2).copied().unwrap_or_default() as usize;
+                if size > chunk_bytes {
+                    let what = format!("a chunk of {size} bytes, more than {chunk_bytes}");
+                    return Err(CrateError::ResourceLimit(what));
+                }
+                let damaged = || CrateError::DecompressionError("LZF: the chunk is damaged".into());
+                lzf::unpacked(packed, size).ok_or_else(damaged)
             }),
         );
         let linked = Arc::new(LinkedFiles::default());

@@ -17,7 +17,6 @@
 //! Specifications: HDF5 File Format Specification 3.0, openPMD 1.1, H5Part, the manuals of GADGET-2 and SWIFT.
 
 mod file;
-mod lzf;
 
 use std::collections::HashSet;
 

@@ -270,7 +270,7 @@ fn opened<'a>(tag: &BytesStart, at: u64) -> Result<XmlDocument<'a>> {
             let what = "this file only lists other files: use those (.vtp or .vtu)";
             return Err(Error::unsupported(XML, what));
         }
-        Some(Neighbor::Grid | Neighbor::Mesh | Neighbor::Part) => {
+        Some(Neighbor::Grid | Neighbor::Mesh | Neighbor::Part | Neighbor::Table) => {
             let what = format!(
                 "the data set has the type \"{}\", which is not supported: save it as PolyData (.vtp)",
                 excerpt(&kind)

@@ -127,6 +127,11 @@ impl AttributeRequest {
         AttributeRequest { selected: Some(AttributeSelection::Named(vec!["radius".to_owned()])), ..self }
     }
 
+    /// Whether the particles' own radii are required.
+    pub(crate) fn uses_radii(&self) -> bool {
+        self.needed.iter().any(|needed| needed.is_length)
+    }
+
     /// Whether only the positions of the chosen particles are needed.
     pub fn is_empty(&self) -> bool {
         self.needed.is_empty() && self.selected.is_none() && !self.follows

@@ -63,6 +63,25 @@ pub(super) fn several_kinds<'a>(parts: impl Iterator<Item = &'a [FileAttribute]>
     })
 }
 
+/// A warning if the particles of these parts of a frame carry radii of different sizes.
+pub(super) fn various_radii<'a>(parts: impl Iterator<Item = &'a [FileAttribute]>) -> Option<Warning> {
+    let mut name = None;
+    let (mut smallest, mut largest) = (f64::INFINITY, 0.0f64);
+    for attribute in parts.flatten().filter(|attribute| attribute.role == Some(AttributeRole::Radius)) {
+        name.get_or_insert(&attribute.name);
+        let given = super::attributes::attribute(attribute.clone());
+        let radii = given.values.numbers().unwrap_or_default();
+        for &radius in radii.iter().filter(|radius| radius.is_finite() && **radius > 0.0) {
+            (smallest, largest) = (smallest.min(radius.into()), largest.max(radius.into()));
+        }
+    }
+    let attribute = name.filter(|_| largest > RADIUS_RATIO_MIN * smallest)?.clone();
+    Some(Warning::Input(InputWarning::VariousRadii { attribute, smallest, largest }))
+}
+
+/// From this ratio of the largest radius to the smallest on, they are meant to differ.
+const RADIUS_RATIO_MIN: f64 = 1.01;
+
 /// An attribute with more values numbers something else than kinds, such as pieces.
 const KIND_COUNT_MAX: usize = 16;
 
@@ -78,6 +97,19 @@ mod tests {
             attributes: vec![FileAttribute { name: name.to_owned(), arity: 1, role: None, values }],
             notes: Vec::new(),
         }
+    }
+
+    #[test]
+    fn radii_of_different_sizes_cause_a_warning() {
+        let of = |radii: &[f32]| {
+            let mut frame = frame("pscale", Values::F32(radii.to_vec()));
+            frame.attributes[0].role = Some(AttributeRole::Radius);
+            various_radii([&frame.attributes[..]].into_iter()).map(|warning| warning.to_string())
+        };
+        let expected = "the particles carry radii from 0.1 to 0.25 (`pscale`), which are not used";
+        assert_eq!(of(&[0.1, 0.25, 0.0, f32::NAN]).as_deref(), Some(expected));
+        assert_eq!(of(&[0.1, 0.1, 0.1005, 0.1]), None);
+        assert_eq!(of(&[]), None);
     }
 
     #[test]

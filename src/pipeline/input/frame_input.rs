@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
 use meniscus_formats::vdb;
-use meniscus_formats::{Error, FilePositions, Limits, ParticleBatch, ParticleBatches};
+use meniscus_formats::{Error, FilePositions, Limits, ParticleBatch, ParticleBatches, ParticleFrame};
 use rayon::prelude::*;
 
 use crate::surface::grid::Leaf;
@@ -17,7 +17,7 @@ use crate::surface::particles::{self, ParticleCloud, ParticleFilter, ParticleSou
 use crate::surface::options::Settings;
 use crate::surface::reconstruction::smooth_level_set_bytes_max;
 
-use super::filter::{keep_chosen, none_chosen, several_kinds};
+use super::filter::{keep_chosen, none_chosen, several_kinds, various_radii};
 use super::frame::{Frame, Job};
 use super::level_set_file::{LevelSetFile, is_leaf_origin, level_set_limits, voxel_size};
 use crate::pipeline::error::{Cause, FrameError, Stage};
@@ -124,7 +124,7 @@ pub(crate) struct FileParticles {
 /// The number of bytes per batch: some ten thousand particles.
 const BATCH_BYTES: usize = 512 << 10;
 
-/// The kinds of particles are looked for in this many batches at most.
+/// Kinds and radii of particles are looked for in this many batches at most.
 const SAMPLED_BATCHES: usize = 16;
 
 impl FileParticles {
@@ -190,21 +190,21 @@ impl FileParticles {
     /// # Errors
     /// When the file cannot be read.
     pub(crate) fn warnings(&self) -> Result<Vec<Warning>, Cause> {
+        let parts = self.sampled()?;
+        let attributes = || parts.iter().map(|part| &part.attributes[..]);
         let about_kinds = match &self.chosen {
             Some((filter, _)) => none_chosen(filter, self.batches.particle_count(), self.len()),
-            None => self.several_kinds()?,
+            None => several_kinds(attributes()),
         };
         let of_file = self.batches.notes().iter().cloned().map(Warning::Sentence);
-        Ok(of_file.chain(about_kinds).collect())
+        Ok(of_file.chain(about_kinds).chain(various_radii(attributes())).collect())
     }
 
-    /// A warning if some batches, evenly distributed, have particles of several kinds.
-    fn several_kinds(&self) -> Result<Option<Warning>, Cause> {
+    /// Some batches, evenly distributed.
+    fn sampled(&self) -> Result<Vec<ParticleFrame>, Cause> {
         let batch_count = self.batches.batch_count();
         let sampled = (0..batch_count).step_by(batch_count.div_ceil(SAMPLED_BATCHES).max(1));
-        let parts: Result<Vec<_>, _> = sampled.map(|index| self.batches.read_frame(index)).collect();
-        let parts = parts.map_err(|error| self.cause(error))?;
-        Ok(several_kinds(parts.iter().map(|part| &part.attributes[..])))
+        sampled.map(|index| self.batches.read_frame(index).map_err(|error| self.cause(error))).collect()
     }
 
     /// The name of the velocities, which are not read.

@@ -6,13 +6,16 @@ use std::sync::{Mutex, PoisonError};
 
 use glam::DVec3;
 use meniscus_formats::compression::{name_without_compression, read_head};
-use meniscus_formats::{Format, Limits, MeshData, gltf, looks_like_mesh, looks_like_particles, read_mesh};
+use meniscus_formats::{
+    Format, Limits, MeshData, Neighbor, gltf, looks_like_mesh, looks_like_particles, neighbor, read_mesh,
+};
 use twox_hash::XxHash3_128;
 use twox_hash::xxhash3_128::Hasher;
 
 use super::container::OpenContainer;
 use super::obstacle_file::may_have_buffers;
 use crate::pipeline::error::{FrameError, Stage};
+use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::open::{open_regular, read_regular};
 use crate::pipeline::target::viewpoint::Viewpoint;
 use crate::render::{Picture, TriangleMesh, render_mesh};
@@ -100,7 +103,11 @@ pub fn is_mesh(path: &Path) -> bool {
     let is_named = |format: &&Format| format.has_mesh() && format.extensions().contains(&extension);
     let Some(format) = Format::ALL.iter().find(is_named) else { return false };
     let Ok(head) = open_regular(path).and_then(|file| read_head(file, HEAD_BYTES)) else { return false };
-    looks_like_mesh(&head, &name) || !format.has_particles() && !looks_like_particles(&head, &name)
+    let has_faces =
+        || InputFile::open(path).is_ok_and(|file| neighbor(&head, &name, &file) == Some(Neighbor::Mesh));
+    looks_like_mesh(&head, &name)
+        || has_faces()
+        || !format.has_particles() && !looks_like_particles(&head, &name)
 }
 
 /// More bytes than the headers of meshes.

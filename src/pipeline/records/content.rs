@@ -157,7 +157,9 @@ mod tests {
         assert_eq!(of("table.txt", b"x y z\n1 2 3\n"), SniffedContent::Particles);
         assert_eq!(of("frame.0001", b"BgeoV\0\0\0\x05"), SniffedContent::Particles);
         assert_eq!(of("readme.txt", b"Read me, please.\n"), SniffedContent::NotParticles);
-        assert_eq!(of("mesh.obj", b"v 1 2 3\nv 4 5 6\n"), SniffedContent::NotParticles);
+        assert_eq!(of("points.obj", b"v 1 2 3\nv 4 5 6\n"), SniffedContent::Particles);
+        let mesh = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+        assert_eq!(of("mesh.obj", mesh), SniffedContent::Neighbor(Neighbor::Mesh));
         let mesh = MeshView {
             positions: &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
             normals: &[[0.0, 0.0, 1.0]; 3],
