@@ -51,6 +51,7 @@ mod row;
 mod sequence;
 pub mod steps;
 pub mod stl;
+mod streamed;
 mod table;
 mod text;
 mod usd;

@@ -457,8 +457,6 @@ const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
     (b"PAR1", "Parquet"),
     (b"\x80\x04\x95", PICKLE),
     (b"\x80\x05\x95", PICKLE),
-    (b"\xfd7zXZ\0", "XZ archive"),
-    (b"BZh", "bzip2 archive"),
     (b"version https://git-lfs.github.com/spec/", GIT_LFS),
 ];
 

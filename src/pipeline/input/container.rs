@@ -26,9 +26,6 @@ use crate::pipeline::files::stamp::FileStamp;
 /// Enough bytes to recognize the format.
 const HEAD_BYTES: u64 = 8 << 10;
 
-/// More than the first block of a file that zstd compressed, without which nothing is known of its content.
-const ZSTD_HEAD_BYTES: u64 = 1 << 18;
-
 /// Whether a file is a container, by its first bytes; false for a file that cannot be opened, and for a pipe, whose
 /// bytes can be read only once.
 pub(crate) fn is_container_file(path: &Path) -> bool {
@@ -221,9 +218,10 @@ const PACKED_FACTOR: u64 = 3;
 
 fn head_of(file: &InputFile) -> io::Result<Vec<u8>> {
     let head = |bytes: u64| bytes_of(file, file.stamp().size.min(bytes));
-    match head(HEAD_BYTES)? {
-        bytes if probe(&bytes, "").codec == Some(Codec::Zstd) => head(ZSTD_HEAD_BYTES),
-        bytes => Ok(bytes),
+    let bytes = head(HEAD_BYTES)?;
+    match probe(&bytes, "").codec.map(Codec::first_block_bytes_max) {
+        Some(needed) if needed > HEAD_BYTES => head(needed),
+        _ => Ok(bytes),
     }
 }
 
