@@ -167,6 +167,11 @@ pub fn unit_of(name: &str) -> Option<&str> {
     split_unit(unquoted(name)).1
 }
 
+/// Whether two names differ at most in case, quotes, units and a prefix of CloudCompare.
+pub(crate) fn is_same_name(one: &str, other: &str) -> bool {
+    matched_part(one).eq_ignore_ascii_case(matched_part(other))
+}
+
 /// A name without surrounding quotes and spaces.
 pub fn unquoted(name: &str) -> &str {
     let name = name.trim();

@@ -106,8 +106,28 @@ use row::{ParticleReader, ReadParticles};
 /// do instead, if the file is not a particle file; `Invalid` if it has particles, and none of them has a
 /// finite position.
 pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<ParticleFrame> {
+    read_particles_named(bytes, file_name, &[], limits)
+}
+
+/// Like [`read_particles`], with [new names](csv::read_named) for columns of a table.
+///
+/// # Errors
+/// Those of [`read_particles`]; `Unsupported` if there are new names and the file is not a table.
+pub fn read_particles_named(
+    bytes: &[u8],
+    file_name: &str,
+    columns: &[(String, String)],
+    limits: &Limits,
+) -> Result<ParticleFrame> {
+    let named_in = |format| {
+        let what = "this is not a table of text: --columns names the columns of such tables only";
+        Err(Error::unsupported(format, what))
+    };
     if let Some(frame) = packed::unpack(bytes, limits) {
         let format = format_of_packed(bytes).map_or("", Format::name);
+        if !columns.is_empty() {
+            return named_in(format);
+        }
         return with_finite(format, frame?);
     }
     let Probe { kind, codec } = probe(bytes, file_name);
@@ -124,6 +144,13 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
             vdb::check_first_grid(&head)?;
         }
     }
+    if !columns.is_empty() {
+        if !is_text_of_rows(kind) {
+            return named_in(kind.name());
+        }
+        let bytes = compression::decompressed(bytes, limits)?;
+        return with_finite(kind.name(), csv::read_named(&bytes, columns, limits)?);
+    }
     let reader = reader_of(kind, codec)?;
     let bytes = compression::decompressed(bytes, limits)?;
     let frame = match &reader.read {
@@ -131,6 +158,18 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
         ReadParticles::Sample(container) => container.read_alone(kind.name(), &bytes, limits)?,
     };
     with_finite(kind.name(), frame)
+}
+
+/// Whether a file starts like a table that has all these columns, by its first bytes. See [`csv::read_named`].
+pub fn has_columns(head: &[u8], file_name: &str, columns: &[(String, String)]) -> bool {
+    let Probe { kind, codec } = probe(head, file_name);
+    let unpacked = codec.map(|codec| codec.decompress_head(head, HEAD_BYTES));
+    is_text_of_rows(kind) && csv::has_columns(unpacked.as_deref().unwrap_or(head), columns)
+}
+
+/// Whether a file can be a table with unusual names of columns.
+fn is_text_of_rows(kind: ProbedKind) -> bool {
+    matches!(kind, ProbedKind::Format(Format::Delimited) | ProbedKind::UnknownText)
 }
 
 /// Requires that a frame with particles has one with a finite position.

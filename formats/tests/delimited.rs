@@ -209,3 +209,57 @@ fn files_of_other_programs_are_read() {
         assert_eq!(found_names.join(" "), names, "{path}");
     }
 }
+
+/// The frame of a text with new names for columns, given as `x=a,y=b`.
+fn read_named(text: &str, names: &str) -> Result<String, String> {
+    let pairs = names.split(',').map(|pair| pair.split_once('=').unwrap());
+    let pairs: Vec<_> = pairs.map(|(new, column)| (new.to_owned(), column.to_owned())).collect();
+    let frame = csv::read_named(text.as_bytes(), &pairs, &Limits::default());
+    frame.map(|frame| describe(&frame)).map_err(|error| error.to_string())
+}
+
+#[test]
+fn columns_get_new_names() {
+    let expected = read_named("x,y,z,radius\n1.5,2,3,4\n5,6,7,8\n", "x=x").unwrap();
+    for (text, names) in [
+        ("a,b,c,r\n1.5,2,3,4\n5,6,7,8\n", "x=a,y=b,z=c,radius=r"),
+        ("A [m];\"b\";c (m);d\n1.5;2;3;4\n5;6;7;8\n", "x=a,y=B,z=c,radius=d"),
+        ("a b c d\n1.5 2 3 4\n5 6 7 8\n", "x=1,y=2,z=3,radius=4"),
+        ("# made by hand\n1.5 2 3 4\n5 6 7 8\n", "x=1,y=2,z=3,radius=4"),
+        ("# a b c d\n1.5 2 3 4\n5 6 7 8\n", "x=a,y=b,z=c,radius=d"),
+        ("0,1,2,3\n1.5,2,3,4\n5,6,7,8\n", "radius=3"),
+        ("0,1,2,3\n1.5,2,3,4\n5,6,7,8\n", "x=0,y=1,z=2,radius=3"),
+    ] {
+        assert_eq!(read_named(text, names).as_ref(), Ok(&expected), "{text} {names}");
+    }
+    // Names that other columns had before.
+    let found = read_named("x,y,z,cx,cy,cz\n9,9,9,1,2,3\n8,8,8,4,5,6\n", "x=cx,y=cy,z=cz").unwrap();
+    assert!(found.starts_with("F64 [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]"), "{found}");
+    assert!(found.contains("column: 3 I32 [9, 9, 9, 8, 8, 8]"), "{found}");
+    // An unclear first column is no position if the position is named.
+    let rows = "4 1 1 1\n2 1 1 2\n3 2 1 1\n1 2 2 2\n";
+    let found = read_named(rows, "id=1,x=2,y=3,z=4").unwrap();
+    assert!(found.contains("id: 1 (Id)"), "{found}");
+    for (text, names, words) in [
+        ("a,b,c\n1,2,3\n", "x=a,y=b,z=d", "there is no column `d`, which --columns names; found a, b, c"),
+        ("a,b,c\n1,2,3\n", "x=a", "--columns names no x, y and z"),
+        ("1,2,3\n4,5,6\n", "radius=4", "there is no column `4`"),
+    ] {
+        let error = read_named(text, names).unwrap_err();
+        assert!(error.contains(words), "{error}");
+    }
+}
+
+#[test]
+fn errors_propose_names_for_columns() {
+    for (header, proposed) in [
+        ("id,pxx,pxy,pxz,d", "--columns x=pxx,y=pxy,z=pxz"),
+        ("id,xq,yq,zq,d", "--columns x=xq,y=yq,z=zq"),
+        ("a,b,c,d,e", "name the columns, as in --columns x=a,y=b,z=c"),
+        ("\"a, 1\",b 2,c,d,e", "--columns x=1,y=2,z=c"),
+    ] {
+        let text = format!("{header}\n1,2,3,4,5\n");
+        let error = csv::read(text.as_bytes(), &Limits::default()).unwrap_err().to_string();
+        assert!(error.contains(proposed), "{error}");
+    }
+}

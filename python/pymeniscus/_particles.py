@@ -114,16 +114,20 @@ class Particles:
         return f"<Particles: {len(self.positions)}, attributes: {names}>"
 
 
-def read(path: str | os.PathLike[str]) -> Particles:
+def read(path: str | os.PathLike[str], *, columns: str | None = None) -> Particles:
     """Read particles from a file of any format that meniscus reads: PLY, BGEO, VTK and lists of its files, HDF5,
     USD, Alembic, OpenVDB, PRT, JSON, NumPy, LAMMPS, XYZ, delimited text and more.
 
-    The content determines the format, and the file may be compressed with gzip or zstd.
+    The content determines the format, and the file may be compressed with gzip, zstd, xz or
+    bzip2.
 
     Parameters
     ----------
     path : path-like
         The file. A step of a file with several steps has a path such as ``"dump.lammpstrj/step=1000"``.
+    columns : str, optional
+        New names for columns of a table, each with a column by its name or its number from 1 on, such as
+        ``"x=centroid_x,y=centroid_y,z=centroid_z"``.
 
     Returns
     -------
@@ -137,7 +141,7 @@ def read(path: str | os.PathLike[str]) -> Particles:
     FormatError
         If the file contains no readable particles. The message has the position in the file.
     """
-    positions, attributes, notes, file_hash = _native.read(path)
+    positions, attributes, notes, file_hash = _native.read(path, columns)
     arrays: dict[str, NDArray[Any]] = {}
     roles, texts = {}, {}
     for name, role, arity, values, table in attributes:

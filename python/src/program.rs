@@ -9,7 +9,7 @@ use meniscus::pipeline::{
     default_memory_bytes, in_memory_attributes, obstacle_warnings, requested_parts,
 };
 use meniscus::surface::RequestedParts;
-use meniscus::surface::{Options, Positions, Settings};
+use meniscus::surface::{ColumnNames, Options, Positions, Settings};
 use meniscus_formats::{FilePositions, UpAxis, Values};
 use numpy::{IntoPyArray, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
@@ -305,11 +305,15 @@ type ReadFrame<'py> = (Bound<'py, PyAny>, Vec<ReadAttribute<'py>>, Vec<String>, 
 
 /// Reads particles.
 #[pyfunction]
-pub(crate) fn read(py: Python<'_>, path: PathBuf) -> PyResult<ReadFrame<'_>> {
+pub(crate) fn read<'py>(py: Python<'py>, path: PathBuf, columns: Option<&str>) -> PyResult<ReadFrame<'py>> {
+    let columns: Option<ColumnNames> = columns
+        .map(str::parse)
+        .transpose()
+        .map_err(|why: String| PyValueError::new_err(format!("columns: {why}")))?;
     let of_file = path.clone();
     let read = run_or_abandon(py, move || {
         let bytes = pipeline::read_file(&of_file)?;
-        let frame = pipeline::read_particles_of(&of_file, &bytes)?;
+        let frame = pipeline::read_particles_of(&of_file, &bytes, columns.as_ref())?;
         Ok((XxHash3_128::oneshot(&bytes), frame))
     })?;
     let (hash, frame) = read.map_err(|failure: FrameError| of_frame(&path, failure))?;

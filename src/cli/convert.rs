@@ -151,12 +151,13 @@ fn open_records(folder: &Path, console: &Console) -> Result<FrameRecords> {
 }
 
 /// The options allowed with `--particles-only`.
-const ALLOWED_WITH_PARTICLES_ONLY: [&str; 11] = [
+const ALLOWED_WITH_PARTICLES_ONLY: [&str; 12] = [
     "particles_only",
     "inputs",
     "out",
     "format",
     "frames",
+    "columns",
     "where",
     "skip_done",
     "shard",
@@ -166,7 +167,7 @@ const ALLOWED_WITH_PARTICLES_ONLY: [&str; 11] = [
 ];
 
 const PARTICLES_ONLY: &str = "--particles-only makes no surfaces, so options for surfaces, their files and \
-     reports do not apply: only INPUT, --out, --format, --frames, --where, --skip-done, --shard, --threads, \
+     reports do not apply: only INPUT, --out, --format, --frames, --columns, --where, --skip-done, --shard, --threads, \
      --memory and --on-error may be combined with it";
 
 /// Refuses formats that cannot store particles.
@@ -281,9 +282,9 @@ impl ConvertPlan {
             }
             Job::LevelSet { .. } => Settings::for_level_sets(&self.options)?,
             Job::Particles => {
-                // Of these settings only the condition is used.
-                let r#where = self.options.r#where.clone();
-                Settings::for_level_sets(&MethodOptions { r#where, ..MethodOptions::default() })?
+                // Of these settings only what is read is used.
+                let (columns, r#where) = (self.options.columns.clone(), self.options.r#where.clone());
+                Settings::for_level_sets(&MethodOptions { columns, r#where, ..MethodOptions::default() })?
             }
         };
         let outputs = match batch.pool.install(|| outputs_of(sequence, &settings, &self.outputs)) {

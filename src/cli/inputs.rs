@@ -11,11 +11,11 @@ use walkdir::{DirEntry, WalkDir};
 
 use crate::pipeline::{
     self, FrameFile, NumberPattern, OutFolderError, Sequence, SniffedContent, canonical_path,
-    check_out_folder, content, entry_key, file_of, files_in, files_joined_by, frames_in, is_absent,
-    is_level_set, is_mesh, is_named_list, is_number, is_sequence_file, may_be_file, promises_particles,
-    shown, single_frame_sequences, single_frames_note, size_bytes, step_of,
+    check_out_folder, content, content_with, entry_key, file_of, files_in, files_joined_by, frames_in,
+    is_absent, is_level_set, is_mesh, is_named_list, is_number, is_sequence_file, may_be_file,
+    promises_particles, shown, single_frame_sequences, single_frames_note, size_bytes, step_of,
 };
-use crate::surface::options::MethodOptions;
+use crate::surface::options::{ColumnNames, MethodOptions};
 
 use super::args::MethodArgs;
 use super::console::Console;
@@ -52,7 +52,8 @@ pub(super) fn select_frames(
     method: &MethodArgs,
     console: &mut Console,
 ) -> Result<InputSelection> {
-    let found = find_inputs(inputs)?;
+    let choices = method.to_options();
+    let found = find_inputs(inputs, choices.columns.as_ref())?;
     found.report(console);
     for (what, (first, count)) in &found.skipped {
         let is_one_folder = inputs.iter().filter(|input| input.is_dir()).count() < 2;
@@ -70,7 +71,6 @@ pub(super) fn select_frames(
     let is_complete = found.unreadable.is_empty();
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let sequences = pipeline::sequences(found.files);
-    let choices = method.to_options();
     if choices.needs_measuring() {
         warn_of_single_frames(&sequences, &choices, console);
     }
@@ -282,12 +282,12 @@ pub(super) struct MatchedInputs {
     pub(super) warnings: Vec<String>,
 }
 
-/// Finds the files that the inputs name.
+/// Finds the files that the inputs name. In folders, tables that have these columns are frames.
 ///
 /// # Errors
 /// If an input matches no file.
-pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<MatchedInputs> {
-    let found = search(inputs, false)?;
+pub(super) fn find_inputs(inputs: &[PathBuf], columns: Option<&ColumnNames>) -> Result<MatchedInputs> {
+    let found = search(inputs, columns, false)?;
     match found.unreadable.first() {
         Some((path, why)) if found.files.is_empty() => bail!("{}: {why}", shown(path)),
         _ => Ok(found),
@@ -301,6 +301,7 @@ pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<MatchedInputs> {
 /// If an input matches no file, or a folder cannot be read.
 pub(super) fn find_with_others(
     inputs: &[PathBuf],
+    columns: Option<&ColumnNames>,
     others_in: impl Fn(&Path) -> Result<Vec<FrameFile>>,
     add: impl Fn(&mut MatchedInputs, Vec<FrameFile>, &Path),
 ) -> Result<MatchedInputs> {
@@ -308,10 +309,10 @@ pub(super) fn find_with_others(
     for input in inputs {
         let (others, one) = (others_in(input)?, std::slice::from_ref(input));
         if others.is_empty() {
-            all.add(find_inputs(one)?);
+            all.add(find_inputs(one, columns)?);
             continue;
         }
-        let mut found = search(one, true)?;
+        let mut found = search(one, columns, true)?;
         add(&mut found, others, input);
         all.add(found);
     }
@@ -352,11 +353,11 @@ pub(super) fn with_files_of_folders(
 }
 
 /// Finds the files. Folders without frames are refused unless `may_be_empty` is set.
-fn search(inputs: &[PathBuf], may_be_empty: bool) -> Result<MatchedInputs> {
+fn search(inputs: &[PathBuf], columns: Option<&ColumnNames>, may_be_empty: bool) -> Result<MatchedInputs> {
     let mut found = MatchedInputs::default();
     for input in inputs {
         match input.metadata() {
-            Ok(metadata) if metadata.is_dir() => found.add_folder(input, may_be_empty)?,
+            Ok(metadata) if metadata.is_dir() => found.add_folder(input, columns, may_be_empty)?,
             Ok(_) => found.files.push(FrameFile::new(input.clone())),
             // A link that cannot be followed: reading it later reports the error.
             Err(_) if input.is_symlink() => found.files.push(FrameFile::new(input.clone())),
@@ -435,14 +436,14 @@ impl MatchedInputs {
     }
 
     /// Adds the frames in a folder, or in its sub-folders of times if it has none itself.
-    fn add_folder(&mut self, folder: &Path, may_be_empty: bool) -> Result<()> {
+    fn add_folder(&mut self, folder: &Path, columns: Option<&ColumnNames>, may_be_empty: bool) -> Result<()> {
         let files = files_in(folder).with_context(|| folder.display().to_string())?;
         let (count_before, mesh_count_before) = (self.count(), self.mesh_count());
-        self.add_files(&files);
+        self.add_files(&files, columns);
         if self.count() == count_before {
             for folder in numbered_folders_in(folder) {
                 match files_in(&folder) {
-                    Ok(files) => self.add_files(&files),
+                    Ok(files) => self.add_files(&files, columns),
                     Err(error) => self.note_unreadable(&folder, &error),
                 }
             }
@@ -487,7 +488,7 @@ impl MatchedInputs {
 
     /// Adds those of the files in a folder that are frames. The files that another one joins to a frame are not. Tables
     /// in which no position was found are frames if nothing else is: their errors then say what was expected.
-    fn add_files(&mut self, files: &[PathBuf]) {
+    fn add_files(&mut self, files: &[PathBuf], columns: Option<&ColumnNames>) {
         let count_before = self.count();
         let mut tables = Vec::new();
         let joined: HashSet<PathBuf> =
@@ -497,7 +498,7 @@ impl MatchedInputs {
                 self.skip(Some(Neighbor::Part), path.clone(), 1);
                 continue;
             }
-            match content_in_folder(path) {
+            match content_in_folder(path, columns) {
                 Ok(SniffedContent::Particles | SniffedContent::OwnParticles) => {
                     self.files.push(FrameFile::new(path.clone()));
                 }
@@ -688,16 +689,13 @@ fn is_pattern(path: &Path) -> bool {
 ///
 /// # Errors
 /// If only the content can decide, and it cannot be read.
-fn content_in_folder(path: &Path) -> io::Result<SniffedContent> {
+fn content_in_folder(path: &Path, columns: Option<&ColumnNames>) -> io::Result<SniffedContent> {
     if is_level_set(path) {
         return Ok(SniffedContent::NotParticles);
     }
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    content(path).or_else(
-        |error| {
-            if promises_particles(&name) { Ok(SniffedContent::Particles) } else { Err(error) }
-        },
-    )
+    content_with(path, columns)
+        .or_else(|error| if promises_particles(&name) { Ok(SniffedContent::Particles) } else { Err(error) })
 }
 
 /// Whether a file joins other files to frames.

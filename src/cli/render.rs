@@ -34,7 +34,7 @@ use super::{CommandOutcome, DoneCounts};
 /// If rendering cannot start, for example because an option is invalid. A failed frame is not an error here:
 /// it is reported and counted.
 pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<CommandOutcome> {
-    let found = find_render_sources(&args.inputs)?;
+    let found = find_render_sources(&args.inputs, args.pictures.method.to_options().columns.as_ref())?;
     found.report(console);
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let sequences = selected_of(pipeline::sequences(found.files), args.frames.as_ref())?;

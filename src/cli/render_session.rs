@@ -22,7 +22,7 @@ use crate::pipeline::{
 };
 use crate::render::{Picture, render_particles, side_by_side};
 use crate::surface::grid::{LeafMask, negative_masks};
-use crate::surface::options::{AttributeSelection, MethodOptions, Settings};
+use crate::surface::options::{AttributeSelection, ColumnNames, MethodOptions, Settings};
 use crate::surface::space::Lattice;
 
 use super::args::{FormatArgs, MethodArgs, MethodOptionArgs, PictureArgs};
@@ -156,8 +156,8 @@ impl<'a> RenderSession<'a> {
         let mut bounds = None;
         if camera.needs_bounds() {
             let paths: Vec<&Path> = sequence.frames.iter().map(|file| &*file.path).collect();
-            let filter = settings.and_then(|settings| settings.filter.as_ref());
-            bounds = sequence_bounds(&paths, settings.map_or(0.0, Settings::resting_height), filter)?;
+            let reading = settings.map(|settings| settings.reading.clone()).unwrap_or_default();
+            bounds = sequence_bounds(&paths, settings.map_or(0.0, Settings::resting_height), &reading)?;
         }
         let aspect = size[0] as f64 / size[1] as f64;
         Ok(camera.viewpoint(bounds.unwrap_or(EMPTY_BOUNDS), aspect, up_of(self.outputs.up)))
@@ -309,8 +309,11 @@ pub(super) fn picture_of_reconstruction(
 ///
 /// # Errors
 /// If an input matches no file.
-pub(super) fn find_render_sources(inputs: &[PathBuf]) -> Result<MatchedInputs> {
-    find_with_others(inputs, |input| Ok(surfaces_in(input)), add_surfaces)
+pub(super) fn find_render_sources(
+    inputs: &[PathBuf],
+    columns: Option<&ColumnNames>,
+) -> Result<MatchedInputs> {
+    find_with_others(inputs, columns, |input| Ok(surfaces_in(input)), add_surfaces)
 }
 
 /// Adds a surface of each frame of a folder that has no particles: its level set, or else its first mesh by

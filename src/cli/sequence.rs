@@ -27,7 +27,7 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Com
     // Of a folder with several formats, the files of the first one in this list are used.
     let formats: &[&[&str]] = &[&["glb"], &["abc"], &["usdc"]];
     let inputs = with_files_of_folders(&args.inputs, formats, ".glb, .abc or .usdc files of frames")?;
-    let found = find_inputs(&inputs)?;
+    let found = find_inputs(&inputs, None)?;
     found.report(console);
     let frames = without_old_sequence_file(found.files, &args.out)?;
     let sequence = only_sequence(frames, "a sequence file holds one sequence")?;

@@ -100,7 +100,7 @@ pub(super) fn outputs_of(
         return Ok(outputs.clone());
     }
     let paths: Vec<&Path> = sequence.frames.iter().map(|file| &*file.path).collect();
-    let bounds = sequence_bounds(&paths, settings.resting_height(), settings.filter.as_ref())?;
+    let bounds = sequence_bounds(&paths, settings.resting_height(), &settings.reading)?;
     Ok(outputs.with_camera_around(bounds.unwrap_or(EMPTY_BOUNDS)))
 }
 

@@ -75,7 +75,7 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Command
     }
     let mut frames = recorded_frames(&records);
     if !args.input.is_empty() {
-        let found = find_inputs(&args.input)?;
+        let found = find_inputs(&args.input, None)?;
         found.report(console);
         add_inputs(&mut frames, found.files);
     }

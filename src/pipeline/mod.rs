@@ -116,7 +116,7 @@ pub use method::ScratchFile;
 pub use observer::Observer;
 pub use output::writing::{encode_level_set, mesh_view, vertex_attributes};
 pub use reconstruct::{LoadedFrame, Reconstruction};
-pub use records::content::{SniffedContent, content};
+pub use records::content::{SniffedContent, content, content_with};
 pub use records::figures::Figures;
 pub use records::frame_records::{
     FrameRecords, LatestRecords, OutputComparison, RecordedFrame, ResultState, STATE_FOLDER, SettingValues,

@@ -61,7 +61,7 @@ pub use self::{
     mesh::MeshMeasures,
     obstacle::{ContactStats, DepthStats, MeshFindings, Obstacle, ObstacleTooFar},
     options::{
-        Anisotropy, AnisotropyKind, AttributeSelection, ClipBox, Length, LengthUnit,
+        Anisotropy, AnisotropyKind, AttributeSelection, ClipBox, ColumnNames, Length, LengthUnit,
         MethodOptions as Options, PerParticleRadius, Preset, Settings, SettingsError,
     },
     particles::{Attribute, AttributeValues, ParticleFilter, Positions, Role},

@@ -14,7 +14,7 @@ use crate::level_set::NarrowBand;
 use crate::mesh::{Mesh, PositionRounding};
 use crate::motion::MovingParticles;
 use crate::obstacle::{Obstacle, Obstacles};
-use crate::options::{Anisotropy, Length, SequenceSpacing, Settings};
+use crate::options::{Anisotropy, Length, SequenceSpacing, Settings, SettingsError};
 use crate::parallel::Loops as _;
 use crate::particles::{Attribute, OwnedPositions, ParticleSource, Positions, Shapes, find_attribute};
 use crate::reconstruction::{
@@ -525,6 +525,11 @@ fn resolve(
     positions: &Positions<'_>,
     attributes: &[Attribute],
 ) -> Result<Settings, Error> {
+    if options.columns.is_some() {
+        let what =
+            "columns are of tables in files: the attributes of particles in memory have names".to_owned();
+        return Err(SettingsError::of_value(what).into());
+    }
     let per_particle_radius = options.per_particle_radius()?;
     let mut measured = None;
     if options.needs_measuring() {

@@ -3,6 +3,7 @@
 mod attributes; // attributes of particles, from an input file to the surface in the outputs
 mod certified; // certificates describe the written mesh
 mod cli; // the command: exit statuses, messages, names, refused arguments
+mod columns; // tables whose columns get names, and tables that are no frames
 mod conflicts; // outputs that would replace inputs, each other, or data of other programs
 pub(crate) mod containers; // lists of VTK files, whose frames are joined from several
 mod convert; // the command on real frames: same bytes, reports, frames that are done

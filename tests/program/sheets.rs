@@ -79,7 +79,7 @@ fn sheet_of_a_sequence_shows_a_picture_of_each_frame() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 6);
-    let result = sheet_of(path, &[".", "--columns", "4"]);
+    let result = sheet_of(path, &[".", "--per-row", "4"]);
     assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
     let title =
         result.out.lines().find(|line| line.starts_with("dam: 6 frames, from particles, voxel size "));
@@ -95,7 +95,7 @@ fn sheet_of_a_sequence_shows_a_picture_of_each_frame() {
     }
     assert!(!has_fluid(&seen.cell(2, 1, line_count)) && seen.ink(2, 1, line_count) == 0);
     let first = fs::read(path.join("sheet.png")).expect("there");
-    let result = sheet_of(path, &[".", "--columns", "4", "--threads", "1"]);
+    let result = sheet_of(path, &[".", "--per-row", "4", "--threads", "1"]);
     assert_eq!(result.status, 0, "{}", result.err);
     assert!(fs::read(path.join("sheet.png")).expect("there") == first, "another run has other bytes");
 
@@ -131,14 +131,14 @@ fn sheet_uses_the_cheapest_source() {
             result.out
         );
     };
-    from(&["o", "--columns", "3"], "pictures");
+    from(&["o", "--per-row", "3"], "pictures");
     let seen = Seen::read(&path.join("sheet.png"));
     assert!((0..3).all(|column| has_fluid(&seen.cell(column, 0, 1))), "pictures are shrunk");
     from(&["o", "--camera", "azimuth=90"], "level sets");
     from(&["in"], "particles");
     let result = meniscus(path, &["convert", "in", "--out", "m", "--format", "obj,glb"]);
     assert_eq!(result.status, 0, "{}", result.err);
-    from(&["m", "--columns", "3"], "meshes");
+    from(&["m", "--per-row", "3"], "meshes");
     let seen = Seen::read(&path.join("sheet.png"));
     assert!((0..3).all(|column| has_fluid(&seen.cell(column, 0, 1))), "meshes are shown");
     from(&["m/dam.#.obj"], "meshes");
@@ -158,7 +158,7 @@ fn failed_frame_leaves_the_other_cells() {
     let path = folder.path();
     write_sequence(path, 1, 4);
     fs::write(path.join("dam.3.ply"), "ply\nformat ascii 1.0\nelement vertex 9\n").expect("written");
-    let result = sheet_of(path, &["dam.#.ply", "--columns", "4"]);
+    let result = sheet_of(path, &["dam.#.ply", "--per-row", "4"]);
     assert_eq!(result.status, 1, "{} {}", result.out, result.err);
     assert!(result.err.contains("dam.3.ply") && result.err.matches("error").count() == 1, "{}", result.err);
     let seen = Seen::read(&path.join("sheet.png"));

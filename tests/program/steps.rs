@@ -248,7 +248,7 @@ fn names_of_steps_do_not_collide() {
     let result = meniscus(folder, &["convert", "d.5.obj", "--out=.", "--format=obj", "--frames=5"]);
     assert_eq!(
         (result.status, names_in(folder)),
-        (0, vec!["d.5.obj".into(), "d.5.obj.5.obj".into(), "d.5.ply".into()])
+        (0, vec!["d.5.5.obj".into(), "d.5.obj".into(), "d.5.ply".into()])
     );
 }
 

@@ -27,17 +27,128 @@ pub(super) struct TableLayout {
     pub(super) notes: Vec<String>,
 }
 
+/// How names of columns are read.
+#[derive(Clone, Copy)]
+pub(super) struct Naming<'a> {
+    limits: &'a Limits,
+    /// New names of columns, each with the name or the number, from 1 on, of a column that must be there.
+    renamed: &'a [(String, String)],
+}
+
+impl<'a> Naming<'a> {
+    pub(super) fn new(limits: &'a Limits, renamed: &'a [(String, String)]) -> Naming<'a> {
+        Naming { limits, renamed }
+    }
+
+    /// The names as they are in the file.
+    fn unchanged(limits: &'a Limits) -> Naming<'a> {
+        Naming::new(limits, &[])
+    }
+
+    /// These names with the new ones, or the first column that is not there. A column that has one of the new names
+    /// already is named by its number.
+    fn applied(self, mut names: Vec<String>) -> std::result::Result<Vec<String>, &'a str> {
+        let found: std::result::Result<Vec<usize>, &str> =
+            self.renamed.iter().map(|(_, column)| index_of(&names, column).ok_or(&**column)).collect();
+        let found = found?;
+        for (index, name) in names.iter_mut().enumerate() {
+            let is_new = |(new, _): &(String, String)| columns::is_same_name(new, name);
+            if !found.contains(&index) && self.renamed.iter().any(is_new) {
+                *name = column_name(index);
+            }
+        }
+        for (index, (new, _)) in found.into_iter().zip(self.renamed) {
+            names[index].clone_from(new);
+        }
+        Ok(names)
+    }
+
+    /// The position among these columns, of a table that need not have a header.
+    fn position_among(self, names: Vec<String>) -> Option<ColumnNames> {
+        let names = self.applied(names).ok()?;
+        let position = group(&names, |_| false).position?;
+        Some(ColumnNames { names, position })
+    }
+
+    /// The position among columns without names in the file, which are `written` in its place: if no new name says what
+    /// it is, the columns have these names.
+    fn position_of_unnamed(self, written: Vec<String>, usual: ColumnNames) -> Option<ColumnNames> {
+        if let Some(named) = self.position_among(written.clone()) {
+            return Some(named);
+        }
+        let is_usual = |new: &String| usual.names.iter().any(|name| columns::is_same_name(name, new));
+        if self.renamed.iter().any(|(new, _)| is_usual(new)) {
+            return None;
+        }
+        let names = self.applied(written.clone()).ok()?;
+        let pairs = names.into_iter().zip(written).zip(usual.names);
+        let names: Vec<String> =
+            pairs.map(|((name, written), usual)| if name == written { usual } else { name }).collect();
+        let position = group(&names, |_| false).position?;
+        Some(ColumnNames { names, position })
+    }
+
+    /// Why these columns have no position, and what to do.
+    fn why_none_among(self, names: Vec<String>) -> String {
+        let found = excerpts(names.iter());
+        if let Err(column) = self.applied(names.clone()) {
+            return format!("there is no column `{column}`, which --columns names; found {found}");
+        }
+        let expected = "expected a header with position columns, such as x,y,z";
+        match coordinates(&names) {
+            Some(columns) if self.renamed.is_empty() => {
+                format!("{expected}; found {found}: name the columns, as in --columns {columns}")
+            }
+            _ if self.renamed.is_empty() => format!("{expected}; found {found}"),
+            _ => format!("{expected}; found {found}, and --columns names no x, y and z"),
+        }
+    }
+}
+
+/// The columns that are coordinates by their last or first letters, or else the first three, as a value of --columns;
+/// `None` if only some coordinates have their usual names.
+fn coordinates(names: &[String]) -> Option<String> {
+    let rest_of = |name: &str, axis: char| {
+        let name = columns::unquoted(name).to_ascii_lowercase();
+        name.strip_suffix(axis).or_else(|| name.strip_prefix(axis)).map(str::to_owned)
+    };
+    let with = |axis, rest: &str| {
+        names.iter().position(|name| rest_of(name, axis).is_some_and(|other| other == rest))
+    };
+    let by_letters = names.iter().enumerate().find_map(|(x, name)| {
+        let rest = rest_of(name, 'x')?;
+        Some([x, with('y', &rest)?, with('z', &rest)?])
+    });
+    let has_usual =
+        ["x", "y", "z"].iter().any(|axis| names.iter().any(|name| columns::is_same_name(name, axis)));
+    let first = (names.len() >= 3 && !has_usual).then_some([0, 1, 2]);
+    let column = |index: usize| {
+        let name = columns::unquoted(&names[index]);
+        let is_plain = !name.is_empty() && !name.contains([',', '=', ' ', '\'', '"']);
+        if is_plain { name.to_owned() } else { (index + 1).to_string() }
+    };
+    let [x, y, z] = by_letters.or(first)?.map(column);
+    Some(format!("x={x},y={y},z={z}"))
+}
+
+/// The column with this name, exactly or regardless of case, quotes and unit; else the one with this number, from 1 on.
+fn index_of(names: &[String], column: &str) -> Option<usize> {
+    let named = |is: fn(&str, &str) -> bool| names.iter().position(|name| is(name, column));
+    let number = || column.parse::<usize>().ok()?.checked_sub(1).filter(|&index| index < names.len());
+    named(|name, column| name == column).or_else(|| named(columns::is_same_name)).or_else(number)
+}
+
 /// Finds the header and the delimiter.
-pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<TableLayout> {
+pub(super) fn layout(bytes: &[u8], naming: Naming) -> Result<TableLayout> {
     let mut head = TableHead::default();
-    let mut lines = HeadLines::new(bytes, limits);
+    let mut lines = HeadLines::new(bytes, naming.limits);
     while let Some(line) = lines.next_line()? {
         if line.text.starts_with(b"ITEM:") {
             let what = "found a LAMMPS `ITEM:` line in delimited text: a dump must begin with such a line";
             return Err(Error::unsupported(FORMAT, what));
         }
         if let Some(comment) = comment(line.text) {
-            head.take_comment(comment, limits);
+            head.take_comment(comment, naming);
             continue;
         }
         let row = row_shape(line.text);
@@ -46,13 +157,13 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<TableLayout> {
             let is_row = |next: &[u8]| has_cells(next, delimiter, count) && has_fraction(next, delimiter);
             let has_names = head.comment.is_some() || head.doubtful.is_some();
             let is_header = !has_names && next.is_some_and(is_row);
-            return match numbered_columns(line.text, delimiter).filter(|_| is_header) {
+            return match numbered_columns(line.text, delimiter, naming).filter(|_| is_header) {
                 Some(header) => Ok(header.into_layout(delimiter, lines.at, lines.number + 1, head.notes())),
-                None => head.above_row(bytes, delimiter, count, line, limits),
+                None => head.above_row(bytes, delimiter, count, line, naming),
             };
         }
         for delimiter in DELIMITERS {
-            let Some(header) = header(line.text, delimiter, limits)? else { continue };
+            let Some(header) = header(line.text, delimiter, naming)? else { continue };
             let is_confirmed = next.is_none_or(|next| has_cells(next, delimiter, header.names.len()));
             if is_confirmed {
                 return Ok(header.into_layout(delimiter, lines.at, lines.number + 1, head.notes()));
@@ -62,7 +173,7 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<TableLayout> {
         }
         head.take_text(line)?;
     }
-    head.above_nothing(bytes, lines.number, limits)
+    head.above_nothing(bytes, lines.number, naming)
 }
 
 /// Whether a text starts like a table: with a row, or with a header that fits the line below it, if there is
@@ -72,12 +183,13 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<TableLayout> {
 /// can name a position by chance.
 pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
     let (text, limits) = (super::decoded(head), Limits::default());
+    let naming = Naming::unchanged(&limits);
     let mut lines = HeadLines::new(&text, &limits);
     let mut has_header = false;
     let mut text_last: Option<&[u8]> = None;
     while let Ok(Some(line)) = lines.next_line() {
         if let Some(comment) = comment(line.text) {
-            has_header |= !headers_in_comment(comment, &limits).is_empty();
+            has_header |= !headers_in_comment(comment, naming).is_empty();
             continue;
         }
         if let Some(delimiter) =
@@ -91,7 +203,7 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
         let is_above = |(delimiter, header): (Delimiter, ColumnNames)| {
             next.is_none_or(|next| header.names_positions_of(next, delimiter))
         };
-        if headers(line.text, &limits).any(is_above) {
+        if headers(line.text, naming).any(is_above) {
             return true;
         }
         text_last = Some(line.text);
@@ -122,7 +234,7 @@ pub(crate) fn is_other_table(head: &[u8]) -> bool {
         count > 1 && is_header_like(names, delimiter, count) && is_row(row, delimiter, count)
     };
     let Some(delimiter) = DELIMITERS.into_iter().find(fits) else { return false };
-    if headers(names, &limits).next().is_none() {
+    if headers(names, Naming::unchanged(&limits)).next().is_none() {
         return true;
     }
     let name = |cell| String::from_utf8_lossy(&unquoted(cell)).into_owned();
@@ -139,26 +251,26 @@ pub(crate) fn is_other_table(head: &[u8]) -> bool {
 
 /// Whether a line names a position, and so can be a header.
 pub(crate) fn names_position(line: &[u8]) -> bool {
-    headers(line, &Limits::default()).next().is_some()
+    headers(line, Naming::unchanged(&Limits::default())).next().is_some()
 }
 
 /// The line as a header, with each delimiter for which it names a position.
-fn headers(line: &[u8], limits: &Limits) -> impl Iterator<Item = (Delimiter, ColumnNames)> {
+fn headers(line: &[u8], naming: Naming) -> impl Iterator<Item = (Delimiter, ColumnNames)> {
     DELIMITERS.into_iter().filter_map(move |delimiter| {
-        header(line, delimiter, limits).ok().flatten().map(|header| (delimiter, header))
+        header(line, delimiter, naming).ok().flatten().map(|header| (delimiter, header))
     })
 }
 
 /// The comment as a header, with each delimiter for which it names a position. YADE writes
 /// `#format x_y_z_r`.
-fn headers_in_comment(comment: &[u8], limits: &Limits) -> Vec<(Delimiter, ColumnNames)> {
+fn headers_in_comment(comment: &[u8], naming: Naming) -> Vec<(Delimiter, ColumnNames)> {
     match comment.strip_prefix(b"format") {
         Some(names) if names.starts_with(b" ") => {
             let blank = |byte: &u8| if *byte == b'_' { b' ' } else { *byte };
             let names: Vec<u8> = names.iter().map(blank).collect();
-            headers(&names, limits).collect()
+            headers(&names, naming).collect()
         }
-        _ => headers(comment, limits).collect(),
+        _ => headers(comment, naming).collect(),
     }
 }
 
@@ -179,9 +291,9 @@ struct TableHead<'a> {
 }
 
 impl<'a> TableHead<'a> {
-    fn take_comment(&mut self, comment: &'a [u8], limits: &Limits) {
+    fn take_comment(&mut self, comment: &'a [u8], naming: Naming) {
         // A comment with too many words is prose or numbers: not an error, but not a header either.
-        if !headers_in_comment(comment, limits).is_empty() {
+        if !headers_in_comment(comment, naming).is_empty() {
             self.comment = Some(comment);
         }
     }
@@ -208,7 +320,7 @@ impl<'a> TableHead<'a> {
         delimiter: Delimiter,
         count: usize,
         row: HeadLine,
-        limits: &Limits,
+        naming: Naming,
     ) -> Result<TableLayout> {
         if let Some(layout) = self.doubtful {
             // The names may have another delimiter than the numbers. If the header has a name for each cell
@@ -216,11 +328,11 @@ impl<'a> TableHead<'a> {
             let delimiter = if layout.names.len() == count { delimiter } else { layout.delimiter };
             return Ok(TableLayout { delimiter, ..layout });
         }
-        let mut above = self.comment.into_iter().flat_map(|comment| headers_in_comment(comment, limits));
+        let mut above = self.comment.into_iter().flat_map(|comment| headers_in_comment(comment, naming));
         if let Some((_, header)) = above.find(|(_, header)| header.names.len() == count) {
             return Ok(header.into_layout(delimiter, row.offset, row.number, self.notes()));
         }
-        let numbers = self.text_last.and_then(|text| numbered_columns(text.text, delimiter));
+        let numbers = self.text_last.and_then(|text| numbered_columns(text.text, delimiter, naming));
         if let Some(header) = numbers.filter(|header| header.names.len() == count) {
             let text_line_count = self.text_line_count - 1;
             let text_first = self.text_first.filter(|_| text_line_count > 0);
@@ -228,10 +340,14 @@ impl<'a> TableHead<'a> {
             return Ok(header.into_layout(delimiter, row.offset, row.number, notes));
         }
         if let Some(text) = self.text_last.filter(|text| is_header_like(text.text, delimiter, count)) {
-            return Err(no_position(text, delimiter));
+            return Err(no_position(text, delimiter, naming));
         }
-        check_column_count(count, limits)?;
+        check_column_count(count, naming.limits)?;
         let mut notes = self.notes();
+        let written: Vec<String> = (0..count).map(column_name).collect();
+        if let Some(header) = naming.position_among(written.clone()) {
+            return Ok(header.into_layout(delimiter, row.offset, row.number, notes));
+        }
         let first = FirstColumn::of(first_numbers(&bytes[row.offset..], delimiter), count);
         if first == FirstColumn::Unclear {
             let what = "the table has no header, and its first column has a different integer in each row: it may \
@@ -250,16 +366,19 @@ impl<'a> TableHead<'a> {
                  the others are named column_4 and so on"
             ));
         }
-        let header = ColumnNames::unnamed(&["id"][..skipped], count);
-        Ok(header.into_layout(delimiter, row.offset, row.number, notes))
+        let usual = ColumnNames::unnamed(&["id"][..skipped], count);
+        match naming.position_of_unnamed(written.clone(), usual) {
+            Some(header) => Ok(header.into_layout(delimiter, row.offset, row.number, notes)),
+            None => Err(Error::invalid(FORMAT, Position::Line(row.number), naming.why_none_among(written))),
+        }
     }
 
     /// Called when the file ends before any row.
-    fn above_nothing(self, bytes: &[u8], line: u64, limits: &Limits) -> Result<TableLayout> {
+    fn above_nothing(self, bytes: &[u8], line: u64, naming: Naming) -> Result<TableLayout> {
         if let Some(layout) = self.doubtful {
             return Ok(layout);
         }
-        let mut above = self.comment.into_iter().flat_map(|comment| headers_in_comment(comment, limits));
+        let mut above = self.comment.into_iter().flat_map(|comment| headers_in_comment(comment, naming));
         if let Some((delimiter, header)) = above.next() {
             return Ok(header.into_layout(delimiter, bytes.len(), line + 1, self.notes()));
         }
@@ -331,13 +450,13 @@ impl ColumnNames {
 }
 
 /// Parses the line as a header, if it names a position with this delimiter.
-fn header(line: &[u8], delimiter: Delimiter, limits: &Limits) -> Result<Option<ColumnNames>> {
+fn header(line: &[u8], delimiter: Delimiter, naming: Naming) -> Result<Option<ColumnNames>> {
     if !has_enough_cells(line, delimiter) {
         return Ok(None);
     }
     let mut names: Vec<String> = Vec::new();
     for cell in cells(line, delimiter) {
-        check_column_count(names.len(), limits)?;
+        check_column_count(names.len(), naming.limits)?;
         let name = String::from_utf8_lossy(&unquoted(cell)).trim().to_string();
         match names.last_mut() {
             // With blanks as delimiter, the unit of `x [m]` is a cell of its own. It belongs to the name.
@@ -358,8 +477,7 @@ fn header(line: &[u8], delimiter: Delimiter, limits: &Limits) -> Result<Option<C
             *name = column_name(index);
         }
     }
-    let Columns { position, .. } = group(&names, |_| false);
-    Ok(position.map(|position| ColumnNames { names, position }))
+    Ok(naming.position_among(names))
 }
 
 /// Groups the columns by their names. Text columns do not form vectors with numeric ones.
@@ -374,12 +492,18 @@ fn column_name(index: usize) -> String {
 
 /// The header of a table whose columns have numbers instead of names, as in `0,1,2`. The column of row
 /// numbers before them, in `,0,1,2`, has no name. Programs that write data frames do that.
-fn numbered_columns(line: &[u8], delimiter: Delimiter) -> Option<ColumnNames> {
+fn numbered_columns(line: &[u8], delimiter: Delimiter, naming: Naming) -> Option<ColumnNames> {
     let index_count = usize::from(cells(line, delimiter).next()?.is_empty());
     let numbers = || cells(line, delimiter).skip(index_count).map(unquoted);
     let is_numbered = numbers().enumerate().all(|(index, number)| *number == *index.to_string().as_bytes());
-    let count = numbers().count();
-    (is_numbered && count >= 3).then(|| ColumnNames::unnamed(&["index"][..index_count], index_count + count))
+    let count = index_count + numbers().count();
+    if !is_numbered || count < index_count + 3 {
+        return None;
+    }
+    let index = ["index".to_owned()];
+    let as_written =
+        index[..index_count].iter().cloned().chain((0..count - index_count).map(|number| number.to_string()));
+    naming.position_of_unnamed(as_written.collect(), ColumnNames::unnamed(&["index"][..index_count], count))
 }
 
 /// Whether one of the first cells of a line has a number that is not an integer.
@@ -446,10 +570,10 @@ fn check_column_count(count: usize, limits: &Limits) -> Result<()> {
     Err(Error::too_large(FORMAT, what))
 }
 
-fn no_position(header: HeadLine, delimiter: Delimiter) -> Error {
-    let names = excerpts(cells(header.text, delimiter).map(unquoted));
-    let what = format!("expected a header with position columns, such as x,y,z; found {names}");
-    Error::invalid(FORMAT, Position::Line(header.number), what)
+fn no_position(header: HeadLine, delimiter: Delimiter, naming: Naming) -> Error {
+    let names =
+        cells(header.text, delimiter).map(|cell| String::from_utf8_lossy(&unquoted(cell)).into_owned());
+    Error::invalid(FORMAT, Position::Line(header.number), naming.why_none_among(names.collect()))
 }
 
 /// The text with decimal points instead of decimal commas, as in French and German, if one of the first rows

@@ -43,7 +43,7 @@ use crate::row::{FormatRow, ParticleReader};
 use crate::{
     AttributeRole, Error, FileAttribute, FilePositions, Limits, ParticleFrame, Position, Result, Values,
 };
-use layout::TableLayout;
+use layout::{Naming, TableLayout};
 use rows::{Column, ColumnValues, Table, quoted_excerpt};
 
 /// The format's name in errors.
@@ -52,12 +52,21 @@ const FORMAT: &str = "delimited text";
 /// Reads a table of particles.
 ///
 /// # Errors
+/// Those of [`read_named`].
+pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+    read_named(bytes, &[], limits)
+}
+
+/// Reads a table of particles, some of whose columns get new names: each of `columns` is a new name, with the name or
+/// the number, from 1 on, of a column. New names such as `x`, `vy`, `radius` and `id` say what the column means.
+///
+/// # Errors
 ///
 /// [`Error::Invalid`], with the line, if a row has the wrong number of cells, a numeric column contains text,
 /// no position is found, or none is finite; [`Error::Truncated`] in these cases if the file ends within that
 /// line, without a line end; [`Error::Unsupported`] for dialects that are recognised but not supported, and
 /// for several frames in one table; [`Error::TooLarge`] beyond `limits`.
-pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+pub fn read_named(bytes: &[u8], columns: &[(String, String)], limits: &Limits) -> Result<ParticleFrame> {
     if bytes.is_empty() {
         return Err(Error::truncated(FORMAT, Position::File, "expected text, found an empty file"));
     }
@@ -68,11 +77,16 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         (text, note) = (numbers.into(), Some(of_bytes));
     }
     let text = layout::with_decimal_points(text);
-    let mut layout = layout::layout(&text, limits)?;
+    let mut layout = layout::layout(&text, Naming::new(limits, columns))?;
     layout.notes.extend(note);
     let table = read_table_rows(&text, &layout, limits)?;
     check_times(&layout, &table)?;
     frame(layout, table)
+}
+
+/// Whether a text starts like a table that has all these columns.
+pub(crate) fn has_columns(head: &[u8], columns: &[(String, String)]) -> bool {
+    layout::layout(&decoded(head), Naming::new(&Limits::default(), columns)).is_ok()
 }
 
 /// Text in UTF-16 with a byte-order mark, as UTF-8. Other bytes are unchanged.
@@ -401,7 +415,7 @@ mod tests {
     fn outcome(text: &[u8], limits: &Limits, part_bytes: usize) -> std::result::Result<String, String> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
         let read = || {
-            let layout = layout::layout(text, limits)?;
+            let layout = layout::layout(text, Naming::new(limits, &[]))?;
             let table = read_rows_in_parts(text, &layout, limits, part_bytes)?;
             frame(layout, table)
         };

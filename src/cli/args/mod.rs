@@ -20,7 +20,7 @@ use clap_complete::Shell;
 use meniscus_formats::{UpAxis, vdb};
 
 use crate::pipeline::{CameraChoice, METERS_PER_UNIT, OnError, OutputFormat, OutputOptions, UsdStageOptions};
-use crate::surface::options::{MethodOptions, OptionGroup, expected, ranged};
+use crate::surface::options::{ColumnNames, MethodOptions, OptionGroup, expected, ranged};
 use crate::surface::particles::ParticleFilter;
 use crate::surface::reconstruction::DEVIATION_MAX_VOXELS;
 use crate::watch::{Order, Poll};
@@ -81,7 +81,7 @@ option_set! {
         ///
         /// PLY, BGEO of any version, VTK and lists of such files (.pvd), HDF5, USD, Alembic, OpenVDB points,
         /// PRT, JSON, NumPy arrays, LAMMPS dumps, XYZ files of atoms, raw XYZ (32-bit binary positions without
-        /// a header) and delimited text, optionally compressed by gzip or zstd. The format is detected from
+        /// a header) and delimited text, optionally compressed by gzip, zstd, xz or bzip2. The format is detected from
         /// the content, except for raw XYZ, which has no signature. Files with several frames give each as a
         /// step. Level sets in
         /// .vdb are converted to meshes. Frames are in natural order (9 before 10); files whose names differ
@@ -617,7 +617,7 @@ pub(super) struct ContactSheetArgs {
 
     /// Cells per row, 1 to 1000 [default: about as many as there are rows]
     #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1000))]
-    pub(super) columns: Option<u16>,
+    pub(super) per_row: Option<u16>,
 
     /// Width and height of a cell, pixels, each 16 to 8192
     #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "240x180")]
@@ -704,6 +704,10 @@ pub(super) struct FlickerArgs {
     /// Distance between particles, the unit of the scores, in world units [default: measured as by convert]
     #[arg(long, value_name = "D", allow_negative_numbers = true, value_parser = parse_positive)]
     pub(super) spacing: Option<f64>,
+
+    /// New names for columns of tables, as given to convert
+    #[arg(long, value_name = "LIST")]
+    pub(super) columns: Option<ColumnNames>,
 
     /// Use only the particles that meet this condition, as given to convert
     #[arg(long = "where", value_name = "CONDITION")]

@@ -24,8 +24,7 @@ use crate::surface::flicker::{
     flicker, lag,
 };
 use crate::surface::obstacle::MeshDistance;
-use crate::surface::options::SpacingOptions;
-use crate::surface::particles::ParticleFilter;
+use crate::surface::options::{ColumnNames, ReadOptions, SpacingOptions};
 
 use super::CommandOutcome;
 use super::args::FlickerArgs;
@@ -53,7 +52,7 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Command
     let spacing = match args.spacing {
         Some(spacing) => spacing,
         None => {
-            let (spacing, warnings) = pool.install(|| estimated_spacing(&frames, args.filter.as_ref()))?;
+            let (spacing, warnings) = pool.install(|| estimated_spacing(&frames, &reading_of(args)))?;
             warnings.iter().for_each(|warning| console.warning(warning));
             spacing
         }
@@ -178,8 +177,8 @@ impl Scoring<'_> {
     /// Reads a frame. If it cannot be read, prints the error and returns `None`.
     fn read(&mut self, number: i64, console: &mut Console) -> Result<Option<FlickerFrame>> {
         let Some(files) = self.frames.files.get(&number) else { return Ok(None) };
-        let (spacing, filter) = (self.spacing, self.args.filter.as_ref());
-        let frame = match catch_panic(&files.mesh, || read_frame(files, spacing, filter)) {
+        let (spacing, reading) = (self.spacing, reading_of(self.args));
+        let frame = match catch_panic(&files.mesh, || read_frame(files, spacing, &reading)) {
             Ok(frame) => frame,
             Err(error) => {
                 self.failed_count += 1;
@@ -410,8 +409,8 @@ fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerFrames> {
     let formats: Vec<&[&str]> =
         Format::ALL.iter().filter(|format| format.has_mesh()).map(|format| format.extensions()).collect();
     let meshes = with_files_of_folders(&args.meshes, &formats, "meshes")?;
-    let mut meshes = one_sequence(&meshes, "meshes", console)?;
-    let particles = one_sequence(&args.particles, "particles", console)?;
+    let mut meshes = one_sequence(&meshes, None, "meshes", console)?;
+    let particles = one_sequence(&args.particles, args.columns.as_ref(), "particles", console)?;
     refuse_times(args.frames.as_ref(), [&meshes, &particles])?;
     let name = meshes.name.clone();
     let particle_paths = particles.frames.iter().map(|file| file.path.clone()).collect();
@@ -422,7 +421,7 @@ fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerFrames> {
         [] => BTreeMap::new(),
         given => {
             let given = with_files_of_folders(given, &formats, "meshes")?;
-            let mut given = one_sequence(&given, "unaveraged meshes", console)?;
+            let mut given = one_sequence(&given, None, "unaveraged meshes", console)?;
             times.leave_out_other_times(&mut given, console);
             times.sort(given)?
         }
@@ -499,8 +498,13 @@ fn find(args: &FlickerArgs, console: &mut Console) -> Result<FlickerFrames> {
     Ok(FlickerFrames { name, files, particles: particle_paths, step, particle_step, scored })
 }
 
-fn one_sequence(inputs: &[PathBuf], what: &str, console: &mut Console) -> Result<Sequence> {
-    let found = find_inputs(inputs)?;
+fn one_sequence(
+    inputs: &[PathBuf],
+    columns: Option<&ColumnNames>,
+    what: &str,
+    console: &mut Console,
+) -> Result<Sequence> {
+    let found = find_inputs(inputs, columns)?;
     found.report(console);
     only_sequence(found.files, &format!("the {what} must be of one sequence"))
 }
@@ -600,10 +604,14 @@ const STEPS_MAX: f64 = 1e6;
 
 // Reads a frame from its two files.
 
+fn reading_of(args: &FlickerArgs) -> ReadOptions {
+    ReadOptions { columns: args.columns.clone(), filter: args.filter.clone() }
+}
+
 /// Reads the mesh of a frame, and the particles that meet the condition.
-fn read_frame(files: &FrameFiles, spacing: f64, filter: Option<&ParticleFilter>) -> Result<FlickerFrame> {
+fn read_frame(files: &FrameFiles, spacing: f64, reading: &ReadOptions) -> Result<FlickerFrame> {
     let surface = read_surface(&files.mesh)?;
-    Ok(FlickerFrame::new(read_moving(&files.particles, filter)?, surface, spacing))
+    Ok(FlickerFrame::new(read_moving(&files.particles, reading)?, surface, spacing))
 }
 
 fn read_surface(path: &Path) -> Result<MeshDistance> {
@@ -613,15 +621,15 @@ fn read_surface(path: &Path) -> Result<MeshDistance> {
 
 /// Measures the particle spacing as `convert` does, on all frames of the particles, and returns warnings
 /// about it.
-fn estimated_spacing(frames: &FlickerFrames, filter: Option<&ParticleFilter>) -> Result<(f64, Vec<String>)> {
-    let options = SpacingOptions { filter: filter.cloned(), ..SpacingOptions::default() };
+fn estimated_spacing(frames: &FlickerFrames, reading: &ReadOptions) -> Result<(f64, Vec<String>)> {
+    let options = SpacingOptions { reading: reading.clone(), ..SpacingOptions::default() };
     let measured = measure_spacing(frames.particles.iter().map(|path| &**path), &options)?;
     Ok((measured.spacing, measured.warnings))
 }
 
-fn read_moving(path: &Path, filter: Option<&ParticleFilter>) -> Result<MovingParticles> {
+fn read_moving(path: &Path, reading: &ReadOptions) -> Result<MovingParticles> {
     let bytes = read_file(path)?;
-    let read = parse_particles(path, &bytes, &AttributeRequest::to_follow(filter))?;
+    let read = parse_particles(path, &bytes, &AttributeRequest::to_follow(reading))?;
     Ok(MovingParticles::of(read.cloud.positions, &read.cloud.attributes))
 }
 

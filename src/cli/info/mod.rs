@@ -15,8 +15,9 @@ use std::{io, iter};
 
 use anyhow::{Result, anyhow, bail};
 use meniscus_formats::{
-    Codec, Format, Limits, MeshData, OutputFormat, Probe, ProbedKind, abc, escaped, format_of_packed, gltf,
-    ply, probe, read_mesh, read_particles, read_provenance, usda, usdc, vdb, vtk,
+    Codec, Format, Limits, MeshData, Neighbor, OutputFormat, Probe, ProbedKind, abc, escaped,
+    format_of_packed, gltf, neighbor, ply, probe, read_mesh, read_particles, read_provenance, usda, usdc,
+    vdb, vtk,
 };
 use serde::Serialize;
 
@@ -41,7 +42,7 @@ struct FileInfo {
     file: String,
     kind: String,
     gzipped: bool,
-    /// The compression, in words: `gzipped`, `zstd-compressed`.
+    /// The compression, in words: `gzipped`, `compressed with zstd`.
     #[serde(skip_serializing_if = "Option::is_none")]
     packed: Option<&'static str>,
     bytes: usize,
@@ -120,7 +121,7 @@ fn files_of(path: &Path, console: &Console) -> Box<dyn Iterator<Item = PathBuf>>
         };
     }
     // A pattern without matches is reported like a missing file.
-    let Ok(found) = find_inputs(&[path.to_owned()]) else { return alone };
+    let Ok(found) = find_inputs(&[path.to_owned()], None) else { return alone };
     for warning in &found.warnings {
         console.warning(warning);
     }
@@ -204,7 +205,7 @@ impl FileInfo {
         let is_surface = match kind.format() {
             _ if packed.is_some() => false,
             Some(format) if codec.is_none() => self.fill_surface(path, format, bytes, &limits)?,
-            Some(format) if has_only_mesh(format) => {
+            Some(format) if is_only_mesh(format, bytes, &name) => {
                 self.mesh = Some(MeshInfo::of(&read_mesh_alone(bytes, &name, &limits)?));
                 true
             }
@@ -306,7 +307,7 @@ impl FileInfo {
                 self.notes.clone_from(&vertices.notes);
                 self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
             }
-            format if has_only_mesh(format) => {
+            format if is_only_mesh(format, bytes, name) => {
                 self.mesh = Some(MeshInfo::of(&read_mesh_alone(bytes, name, limits)?));
             }
             _ => return Ok(false),
@@ -337,8 +338,10 @@ fn check_file(path: &Path) -> Result<()> {
     Ok(())
 }
 
-fn has_only_mesh(format: Format) -> bool {
-    format.has_mesh() && !format.has_particles()
+/// Whether a file of this format can only be a mesh.
+fn is_only_mesh(format: Format, bytes: &[u8], name: &str) -> bool {
+    let has_faces = || format == Format::Obj && neighbor(bytes, name, &bytes) == Some(Neighbor::Mesh);
+    format.has_mesh() && !format.has_particles() || has_faces()
 }
 
 /// Reads a mesh, compressed or not. Fails if parts of it are in other files.

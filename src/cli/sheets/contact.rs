@@ -19,7 +19,7 @@ use crate::pipeline::{
     is_mesh, natural_order, read_picture, sequences,
 };
 use crate::render::{Cell, CellGroup, CellPicture, Picture, Sheet};
-use crate::surface::options::Settings;
+use crate::surface::options::{ColumnNames, Settings};
 
 use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 
@@ -31,7 +31,11 @@ pub(in crate::cli) fn contact_sheet(
     args: &ContactSheetArgs,
     console: &mut Console,
 ) -> Result<CommandOutcome> {
-    let Sources { strips, files, found } = find_sources(&args.inputs, kinds(&args.pictures))?;
+    let Sources { strips, files, found } = find_sources(
+        &args.inputs,
+        args.pictures.method.to_options().columns.as_ref(),
+        kinds(&args.pictures),
+    )?;
     found.report(console);
     let selected_strips = select_frames(strips, args)?;
     let cell_count = selected_strips.iter().map(|strip| strip.frames.len()).sum();
@@ -233,7 +237,7 @@ impl Contact<'_> {
     /// Sequences below each other, and single files side by side.
     fn sheet(&self, parts: Vec<SequenceRows>) -> Sheet {
         let block = |title: String, cells: Vec<Cell>| {
-            let columns = self.args.columns.map_or(even_columns(cells.len()), usize::from);
+            let columns = self.args.per_row.map_or(even_columns(cells.len()), usize::from);
             CellGroup { title, cells, columns }
         };
         let (singles, sequences): (Vec<SequenceRows>, Vec<SequenceRows>) =
@@ -344,11 +348,11 @@ struct Sources {
 ///
 /// # Errors
 /// If an input names no frame.
-fn find_sources(inputs: &[PathBuf], kinds: &[SourceKind]) -> Result<Sources> {
+fn find_sources(inputs: &[PathBuf], columns: Option<&ColumnNames>, kinds: &[SourceKind]) -> Result<Sources> {
     let add = |found: &mut MatchedInputs, files, _: &Path| {
         found.add(MatchedInputs { files, ..MatchedInputs::default() })
     };
-    let mut found = find_with_others(inputs, surfaces_and_pictures_in, add)?;
+    let mut found = find_with_others(inputs, columns, surfaces_and_pictures_in, add)?;
     let files: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let kind_of = |file: FrameFile| (SourceKind::of(&file.path), file);
     let all_files: Vec<(SourceKind, FrameFile)> =

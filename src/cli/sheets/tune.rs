@@ -41,7 +41,7 @@ use super::{SheetFile, even_columns, fixed, reason, refuse_large};
 /// If no cell can be attempted. A cell that fails is reported and counted.
 pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<CommandOutcome> {
     let grid = Grid::new(args)?;
-    let found = find_inputs(&args.inputs)?;
+    let found = find_inputs(&args.inputs, args.pictures.method.to_options().columns.as_ref())?;
     found.report(console);
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let sequence = only_sequence(found.files, "`meniscus tune` shows one frame of one sequence")?;

@@ -5,8 +5,10 @@ use std::sync::Arc;
 use meniscus_formats::columns::aliases;
 use meniscus_formats::{AttributeRole, FileAttribute, Values};
 
-use crate::surface::options::{Anisotropy, AttributeSelection, OptionName, Settings, SpacingOptions};
-use crate::surface::particles::{Attribute, AttributeValues, ParticleFilter, Role, find_attribute};
+use crate::surface::options::{
+    Anisotropy, AttributeSelection, OptionName, ReadOptions, Settings, SpacingOptions,
+};
+use crate::surface::particles::{Attribute, AttributeValues, Role, find_attribute};
 
 use crate::pipeline::warning::{InputWarning, Warning};
 
@@ -21,8 +23,8 @@ pub struct AttributeRequest {
     selected: Option<AttributeSelection>,
     /// Whether ids and velocities are wanted, if there are any, to follow the particles.
     follows: bool,
-    /// The condition that particles must meet.
-    pub(crate) filter: Option<ParticleFilter>,
+    /// What is read of the file.
+    pub(crate) reading: ReadOptions,
 }
 
 /// An attribute that the reconstruction requires.
@@ -87,8 +89,8 @@ impl AttributeRequest {
 
     /// The attributes that these settings require.
     pub fn for_settings(settings: &Settings) -> AttributeRequest {
-        let (filter, per_particle_radius) = (settings.filter.clone(), settings.per_particle_radius.clone());
-        let mut request = AttributeRequest::for_spacing(&SpacingOptions { filter, per_particle_radius });
+        let (reading, per_particle_radius) = (settings.reading.clone(), settings.per_particle_radius.clone());
+        let mut request = AttributeRequest::for_spacing(&SpacingOptions { reading, per_particle_radius });
         if matches!(settings.anisotropy, Anisotropy::Velocity { .. }) {
             request.needed.push(RequiredAttribute {
                 name: "velocity".to_owned(),
@@ -108,18 +110,18 @@ impl AttributeRequest {
             option: OptionName::new("radius_attribute"),
             is_length: true,
         });
-        let (needed, filter) = (radii.into_iter().collect(), options.filter.clone());
-        AttributeRequest { needed, filter, ..AttributeRequest::default() }
+        let (needed, reading) = (radii.into_iter().collect(), options.reading.clone());
+        AttributeRequest { needed, reading, ..AttributeRequest::default() }
     }
 
     /// The positions of the particles that meet the condition.
-    pub(crate) fn positions_of(filter: Option<&ParticleFilter>) -> AttributeRequest {
-        AttributeRequest { filter: filter.cloned(), ..AttributeRequest::default() }
+    pub(crate) fn positions_of(reading: &ReadOptions) -> AttributeRequest {
+        AttributeRequest { reading: reading.clone(), ..AttributeRequest::default() }
     }
 
     /// What following the particles that meet the condition needs.
-    pub fn to_follow(filter: Option<&ParticleFilter>) -> AttributeRequest {
-        AttributeRequest { follows: true, ..AttributeRequest::positions_of(filter) }
+    pub fn to_follow(reading: &ReadOptions) -> AttributeRequest {
+        AttributeRequest { follows: true, ..AttributeRequest::positions_of(reading) }
     }
 
     /// The same request, which also selects the particles' radii if the file has any.
@@ -162,11 +164,11 @@ impl AttributeRequest {
         mut load: impl FnMut(usize) -> Option<FileAttribute>,
         spelled: fn(OptionName) -> String,
     ) -> Result<(Vec<Attribute>, Vec<Warning>), String> {
-        if self.is_empty() && self.filter.is_none() {
+        if self.is_empty() && self.reading.filter.is_none() {
             return Ok((Vec::new(), Vec::new()));
         }
         let all: Vec<Attribute> = headers.into_iter().map(attribute).collect();
-        let for_filter = match &self.filter {
+        let for_filter = match &self.reading.filter {
             Some(filter) => filter
                 .needed(&all)
                 .map_err(|why| format!("{} \"{filter}\": {why}", spelled(OptionName::new("where"))))?,

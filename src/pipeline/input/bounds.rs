@@ -16,7 +16,8 @@ use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::memory::default_memory_bytes;
 use crate::pipeline::target::picture::PictureScene;
 use crate::surface::grid::{LeafMask, negative_masks};
-use crate::surface::particles::{OwnedPositions, ParticleFilter};
+use crate::surface::options::ReadOptions;
+use crate::surface::particles::OwnedPositions;
 use crate::surface::space::{CoordBox, box_of, joined};
 
 /// The box that a camera shows if a frame is empty.
@@ -32,12 +33,12 @@ pub const EMPTY_BOUNDS: [DVec3; 2] = [DVec3::NEG_ONE, DVec3::ONE];
 pub fn sequence_bounds(
     paths: &[&Path],
     radius: f64,
-    filter: Option<&ParticleFilter>,
+    reading: &ReadOptions,
 ) -> Result<Option<[DVec3; 2]>, FrameError> {
     let mut indices = vec![0, paths.len() / 2, paths.len().saturating_sub(1)];
     indices.dedup();
     let read =
-        |path: &Path| FrameError::catch(path, Stage::Read, || file_bounds(path, radius, filter)).flatten();
+        |path: &Path| FrameError::catch(path, Stage::Read, || file_bounds(path, radius, reading)).flatten();
     let (mut bounds, mut is_read, mut failed) = (None, false, None);
     for path in indices.iter().filter_map(|&index| paths.get(index)) {
         match read(path) {
@@ -61,11 +62,7 @@ pub fn sequence_bounds(
 }
 
 /// The bounding box of the contents of a file: the level set of a .vdb, a mesh, or particles.
-fn file_bounds(
-    path: &Path,
-    radius: f64,
-    filter: Option<&ParticleFilter>,
-) -> Result<Option<[DVec3; 2]>, FrameError> {
+fn file_bounds(path: &Path, radius: f64, reading: &ReadOptions) -> Result<Option<[DVec3; 2]>, FrameError> {
     if is_level_set(path) {
         return Ok(LevelSetFile::read(path, false, default_memory_bytes())?.scene().bounds());
     }
@@ -75,7 +72,7 @@ fn file_bounds(
         return Ok(bounds.map(|[least, greatest]| [least - radius, greatest + radius]));
     }
     let bytes = read_file(path)?;
-    let read = parse_particles(path, &bytes, &AttributeRequest::positions_of(filter))?;
+    let read = parse_particles(path, &bytes, &AttributeRequest::positions_of(reading))?;
     Ok(bounds_of_particles(&read.cloud.positions, radius))
 }
 

@@ -166,7 +166,7 @@ pub fn measure_spacing<'a>(
     options: &SpacingOptions,
 ) -> Result<MeasuredSpacing, NoSpacing> {
     let files: Vec<&Path> = files.into_iter().collect();
-    let condition = options.filter.as_ref().map(ToString::to_string);
+    let condition = options.reading.filter.as_ref().map(ToString::to_string);
     let mut none = NoSpacing { condition, ..NoSpacing::default() };
     let note = |_: &Path, attempt: Attempt| match attempt {
         Attempt::Measured => {}
@@ -263,7 +263,7 @@ fn measured_sample(
     file: FileParticles,
     options: &SpacingOptions,
 ) -> Result<(usize, Option<FrameSpacing>), Cause> {
-    let particles = FrameInput::OnDisk(Box::new(file.chosen_by(options.filter.as_ref())?));
+    let particles = FrameInput::OnDisk(Box::new(file.chosen_by(options.reading.filter.as_ref())?));
     let count = particles.len();
     let estimate = erased(&particles, |source| SourceSample::of(source, count)?.estimate(source))?;
     let path = path.to_owned();

@@ -6,11 +6,12 @@ use std::path::Path;
 
 use meniscus_formats::compression::read_head;
 use meniscus_formats::{
-    AttributeRole, Error, FilePositions, Limits, ParticleFrame, check_supported, read_particles,
+    AttributeRole, Error, FilePositions, Limits, ParticleFrame, check_supported, read_particles_named,
 };
 
 use twox_hash::XxHash3_128;
 
+use crate::surface::options::{ColumnNames, ReadOptions};
 use crate::surface::particles::{OwnedPositions, ParticleCloud, Shapes};
 
 use super::attributes::AttributeRequest;
@@ -80,13 +81,17 @@ const LARGE_BYTES: u64 = 1 << 20;
 /// More bytes than any format needs to be recognized.
 const LARGE_HEAD_BYTES: u64 = 1 << 16;
 
-/// Parses particles from the bytes of the frame at `path`, with all attributes.
+/// Parses particles from the bytes of the frame at `path`, with all attributes, and with new names for columns.
 ///
 /// # Errors
 /// When the bytes are not valid particles.
-pub fn read_particles_of(path: &Path, bytes: &[u8]) -> Result<ParticleFrame, FrameError> {
+pub fn read_particles_of(
+    path: &Path,
+    bytes: &[u8],
+    columns: Option<&ColumnNames>,
+) -> Result<ParticleFrame, FrameError> {
     let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
-    read_particles(bytes, &name, &Limits::default())
+    read_particles_named(bytes, &name, columns.map_or(&[], ColumnNames::pairs), &Limits::default())
         .map_err(|error| FrameError::file(path, Stage::Read, by_lines_of_file(path, error)))
 }
 
@@ -100,11 +105,12 @@ pub fn parse_particles(
     bytes: &[u8],
     wanted: &AttributeRequest,
 ) -> Result<ParsedParticles, FrameError> {
-    let mut frame = read_particles_of(path, bytes)?;
+    let ReadOptions { columns, filter } = &wanted.reading;
+    let mut frame = read_particles_of(path, bytes, columns.as_ref())?;
     let missing_error =
         |what| FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Missing(what) };
-    let about_kinds = match &wanted.filter {
-        Some(_) => keep_chosen(&mut frame, wanted.filter.as_ref()).map_err(missing_error)?,
+    let about_kinds = match filter {
+        Some(_) => keep_chosen(&mut frame, filter.as_ref()).map_err(missing_error)?,
         None => several_kinds(iter::once(&frame.attributes[..])),
     };
     let about_radii =

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use meniscus_formats::compression::read_head;
 use meniscus_formats::container::is_container;
-use meniscus_formats::{Content, Format, Neighbor, looks_like_particles, neighbor, probe, read_provenance};
+use meniscus_formats::{
+    Content, Format, Neighbor, has_columns, looks_like_particles, neighbor, probe, read_provenance,
+};
 
 use super::provenance::{HEAD_BYTES, are_particles};
 use crate::pipeline::files::input_file::InputFile;
@@ -15,6 +17,7 @@ use crate::pipeline::input::level_set_file::is_level_set;
 use crate::pipeline::input::source::promises_particles;
 use crate::pipeline::input::steps::{ContainerContent, content_of_container};
 use crate::pipeline::target::outputs::{OutputOptions, output_path};
+use crate::surface::options::ColumnNames;
 
 /// The kind of a file, by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,6 +43,24 @@ impl SniffedContent {
     /// Whether it may be data of another program, which must not be replaced.
     pub fn is_data(self) -> bool {
         self.is_frame() || matches!(self, SniffedContent::Neighbor(_))
+    }
+}
+
+/// Like [`content`], for conversions with new names for columns: a table that has these columns is a frame.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn content_with(path: &Path, columns: Option<&ColumnNames>) -> io::Result<SniffedContent> {
+    let found = content(path)?;
+    let may_be_table =
+        matches!(found, SniffedContent::NotParticles | SniffedContent::Neighbor(Neighbor::Table));
+    match columns {
+        Some(columns) if may_be_table && path.metadata()?.is_file() => {
+            let (head, name) = head_and_name(path)?;
+            let is_table = has_columns(&head, &name, columns.pairs());
+            Ok(if is_table { SniffedContent::Particles } else { found })
+        }
+        _ => Ok(found),
     }
 }
 

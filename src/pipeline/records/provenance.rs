@@ -10,7 +10,7 @@ use std::path::Path;
 use meniscus_formats::{WriteOption, read_provenance};
 use twox_hash::XxHash3_64;
 
-use crate::surface::options::{MethodOptions, OptionGroup, Pairs, Settings};
+use crate::surface::options::{MethodOptions, OptionGroup, Pairs, ReadOptions, Settings};
 
 use super::frame_records::SettingValues;
 use crate::pipeline::files::open::open_regular;
@@ -74,8 +74,10 @@ pub(crate) fn provenance(
 fn job_pairs(job: &Job, settings: &Settings, format: OutputFormat) -> Pairs {
     match *job {
         Job::Particles => {
-            let filter = settings.filter.iter().map(|filter| ("where", filter.to_string()));
-            std::iter::once((CONTENTS, PARTICLES.to_owned())).chain(filter).collect()
+            let ReadOptions { columns, filter } = &settings.reading;
+            let columns = columns.iter().map(|columns| ("columns", columns.to_string()));
+            let filter = filter.iter().map(|filter| ("where", filter.to_string()));
+            std::iter::once((CONTENTS, PARTICLES.to_owned())).chain(columns).chain(filter).collect()
         }
         Job::Surface => settings_pairs(settings, format),
         Job::LevelSet { max_deviation_voxels, .. } => level_set_pairs(settings, max_deviation_voxels, format),

@@ -21,7 +21,7 @@ use crate::pipeline::method::{self, FrameInStages};
 use crate::pipeline::reconstruct::LoadedFrame;
 use crate::pipeline::warning::Warning;
 use crate::surface::flicker::MovingParticles;
-use crate::surface::options::Settings;
+use crate::surface::options::{ReadOptions, Settings};
 use crate::surface::reconstruction::FrameSurface;
 use crate::surface::temporal::{OtherFrame, TimedFrame, with_particles};
 
@@ -248,8 +248,9 @@ impl StageContext<'_> {
 }
 
 fn parsed<T>(bytes: &[u8], frame: &Frame) -> Result<Passed<T>, FrameError> {
-    let mut particles = read_particles_of(&frame.input, bytes)?;
-    let about_choice = keep_chosen(&mut particles, frame.settings.filter.as_ref());
+    let ReadOptions { columns, filter } = &frame.settings.reading;
+    let mut particles = read_particles_of(&frame.input, bytes, columns.as_ref())?;
+    let about_choice = keep_chosen(&mut particles, filter.as_ref());
     let about_choice = about_choice.map_err(|why| frame.failed(Stage::Read, Cause::Missing(why)))?;
     particles.notes.extend(about_choice.map(|warning| warning.to_string()));
     Ok(Passed::Particles(Box::new(particles)))

@@ -191,7 +191,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                 let path = frame.input.clone();
                 let choose = move || {
                     let failed = |cause| FrameError { path: path.clone(), during: Stage::Read, cause };
-                    let particles = particles.chosen_by(wanted.filter.as_ref()).map_err(failed)?;
+                    let particles = particles.chosen_by(wanted.reading.filter.as_ref()).map_err(failed)?;
                     let warnings = [particles.warnings().map_err(failed)?, left_out_warnings].concat();
                     let noted = InputNotes { warnings, unused_velocity: particles.unused_velocity() };
                     Ok((FrameInput::OnDisk(Box::new(particles)), noted))

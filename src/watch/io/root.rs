@@ -18,7 +18,7 @@ use meniscus_formats::{Completeness, Neighbor, completeness};
 
 use crate::pipeline::{
     ChangedOutput, Conflict, FileId, FileStamp, ObstacleFiles, ObstacleStamps, SniffedContent, content,
-    is_level_set, may_hold_several, open_regular,
+    content_with, is_level_set, may_hold_several, open_regular,
 };
 use crate::watch::config::{Poll, StabilityTimeouts, Watch, WatchConfig, names_lists};
 use crate::watch::core::completeness::{
@@ -489,13 +489,13 @@ impl Root {
     /// another program, or an obstacle of any watched folder. `None` if nothing is wrong.
     fn conflict_of(&self, outputs: &[PathBuf]) -> Option<String> {
         for output in outputs {
-            if replaces_data(output) {
-                return Some(replacement(output));
-            }
             for obstacles in &self.obstacles {
                 if let Err(conflict) = obstacles.refuse_output(output) {
                     return Some(conflict.to_string());
                 }
+            }
+            if replaces_data(output) {
+                return Some(replacement(output));
             }
         }
         None
@@ -518,7 +518,7 @@ fn has_recorded_obstacles(check: &RecordCheck, obstacles: Option<&ObstacleStamps
 }
 
 fn contents_of(id: &FrameId, watch: &Watch) -> FileContents {
-    match content(id.file_path()) {
+    match content_with(id.file_path(), watch.choices.columns.as_ref()) {
         // The pattern asks for lists of files, and not for the files.
         Ok(SniffedContent::Neighbor(Neighbor::Index)) if names_lists(watch.pattern.as_deref()) => {}
         Ok(SniffedContent::OwnOutput | SniffedContent::NotParticles) => return FileContents::NotParticles,

@@ -128,7 +128,7 @@ fn with_camera(
     let measured_here = measured_on.filter(|_| order.known.is_none());
     let is_before = |id: &FrameId| measured_here.is_some_and(|first| *id.path != **first);
     for (id, _) in order.files.iter().skip_while(|(id, _)| is_before(id)) {
-        let (attempt, bounds) = match sequence_bounds(&[&*id.path], radius, order.options.filter.as_ref()) {
+        let (attempt, bounds) = match sequence_bounds(&[&*id.path], radius, &order.options.reading) {
             Ok(Some(bounds)) => (Attempt::Measured, Some(bounds)),
             Ok(None) => (Attempt::TooFewParticles { count: 0 }, None),
             Err(error) => (Attempt::Unreadable(error), None),

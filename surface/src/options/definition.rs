@@ -15,8 +15,8 @@ use std::ops::RangeInclusive;
 use super::fields::{self, OptionGroup, OptionInfo, OptionValue, ValueKind, method_options};
 use super::presets::{Preset, Recipe};
 use super::resolution::Pairs;
-use super::values::{AnisotropyKind, AttributeSelection, ClipBox, Length, LengthUnit};
-use super::{OptionName, PerParticleRadius, SettingsError, SpacingOptions, positive};
+use super::values::{AnisotropyKind, AttributeSelection, ClipBox, ColumnNames, Length, LengthUnit};
+use super::{OptionName, PerParticleRadius, ReadOptions, SettingsError, SpacingOptions, positive};
 use crate::contour::Contouring;
 use crate::particles::ParticleFilter;
 use crate::smooth::Integrator;
@@ -105,6 +105,12 @@ method_options! {
             offset: Length,
         }
         Particles {
+            /// New names for columns of tables, each with a column by its name or its number from 1 on, such as
+            /// x=centroid_x,y=centroid_y,z=centroid_z; the names x, y, z, vx, vy, vz, radius and id say what the
+            /// columns mean
+            #[value(named("LIST"))]
+            columns: ColumnNames,
+
             /// Use only the particles whose attributes meet this condition, such as 'phase == 0' or 'type in
             /// 1,2 and not (density < 500)'; comparisons are ==, !=, <, <=, >, >=, in and not in
             #[value(named("CONDITION"))]
@@ -336,13 +342,17 @@ impl MethodOptions {
         Ok(Some(PerParticleRadius { attribute: attribute.clone(), scale }))
     }
 
+    /// What is read from a file of particles.
+    pub fn read_options(&self) -> ReadOptions {
+        ReadOptions { columns: self.columns.clone(), filter: self.r#where.clone() }
+    }
+
     /// The options that affect how the particle spacing is measured.
     ///
     /// # Errors
     /// As for [`per_particle_radius`](Self::per_particle_radius).
     pub fn spacing_options(&self) -> Result<SpacingOptions, SettingsError> {
-        let (filter, per_particle_radius) = (self.r#where.clone(), self.per_particle_radius()?);
-        Ok(SpacingOptions { filter, per_particle_radius })
+        Ok(SpacingOptions { reading: self.read_options(), per_particle_radius: self.per_particle_radius()? })
     }
 
     /// The given options that have no effect, each with the options of which it requires one;
@@ -377,7 +387,7 @@ mod tests {
     fn every() -> MethodOptions {
         let mut options = MethodOptions::default();
         for info in MethodOptions::ALL {
-            let texts = ["1", "true", "fluid", "none", "dual", "fast", "0,0,0,1,1,1"];
+            let texts = ["1", "true", "fluid", "none", "dual", "fast", "0,0,0,1,1,1", "x=1"];
             assert!(texts.iter().any(|text| options.set(info.name, text).is_ok()), "{}", info.name);
         }
         options
@@ -394,6 +404,7 @@ mod tests {
             radius_ratio: Some(1.5),
             radius_init: Some((f64::MIN_POSITIVE / 3.0).into()),
             offset: Some((-1.0 / 7.0).into()),
+            columns: Some("x=c x,id=1".parse().expect("columns")),
             r#where: Some("phase in 1,2 or 'p é' != \"x, y\"".parse().expect("a condition")),
             radius_attribute: Some("p scale, \"é\"".to_owned()),
             radius_scale: Some(0.1_f64.next_up()),

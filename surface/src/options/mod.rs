@@ -19,7 +19,7 @@ pub use fields::{
 };
 pub use presets::{Preset, SequenceSpacing};
 pub use resolution::Pairs;
-pub use values::{AnisotropyKind, AttributeSelection, ClipBox, Length, LengthUnit};
+pub use values::{AnisotropyKind, AttributeSelection, ClipBox, ColumnNames, Length, LengthUnit};
 
 use crate::particles::{Attribute, ParticleFilter, find_attribute};
 use crate::smooth::{EIGENVALUE_MAX, SmoothSteps};
@@ -52,8 +52,8 @@ pub struct Settings {
     pub offset: f64,
     /// The chosen r_max / r_min. The quotient of the two fields may differ by a rounding error.
     pub radius_ratio: f64,
-    /// The condition that particles must meet; `None` for all particles.
-    pub filter: Option<ParticleFilter>,
+    /// What is read of each file.
+    pub reading: ReadOptions,
     /// Per-particle radii. If set, the three radii above belong to a particle whose own radius is
     /// `radius_min` / `scale`.
     pub per_particle_radius: Option<PerParticleRadius>,
@@ -119,10 +119,19 @@ impl PerParticleRadius {
 /// The options that affect how the particle spacing is measured.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SpacingOptions {
-    /// The condition that particles must meet; `None` for all particles.
-    pub filter: Option<ParticleFilter>,
+    /// What is read of each file.
+    pub reading: ReadOptions,
     /// Per-particle radii.
     pub per_particle_radius: Option<PerParticleRadius>,
+}
+
+/// What is read from a file of particles.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ReadOptions {
+    /// New names for columns of tables.
+    pub columns: Option<ColumnNames>,
+    /// The condition that particles must meet; `None` for all particles.
+    pub filter: Option<ParticleFilter>,
 }
 
 /// How particles are stretched (paper, Eq. 1 and 16, Fig. 11).
@@ -186,7 +195,7 @@ enum SettingsFault {
 }
 
 impl SettingsError {
-    fn of_value(what: String) -> SettingsError {
+    pub(crate) fn of_value(what: String) -> SettingsError {
         SettingsFault::Value(what).into()
     }
 
@@ -281,7 +290,7 @@ impl Settings {
             radius_max,
             offset: offset(options, radius_min, &scale)?,
             radius_ratio,
-            filter: options.r#where.clone(),
+            reading: options.read_options(),
             per_particle_radius: options.per_particle_radius()?,
             anisotropy: anisotropy(options, radius_min, &scale)?,
             position_smoothing: options.position_smoothing(),

@@ -32,6 +32,11 @@ pub enum AttributeSelection {
     Named(Vec<String>),
 }
 
+/// New names for columns of tables: `x=centroid_x,y=centroid_y,z=centroid_z`.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(into = "String", try_from = "String")]
+pub struct ColumnNames(Vec<(String, String)>);
+
 /// An axis-aligned box, world units. `min` is below `max` on each axis once the settings are resolved.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(into = "String", try_from = "String")]
@@ -56,7 +61,7 @@ macro_rules! option_values {
 }
 option_values!(
     Preset: Preset::WORDS, AnisotropyKind: AnisotropyKind::WORDS, Contouring: Contouring::WORDS,
-    Integrator: Integrator::WORDS, AttributeSelection, ClipBox, ParticleFilter
+    Integrator: Integrator::WORDS, AttributeSelection, ClipBox, ColumnNames, ParticleFilter
 );
 
 impl AttributeSelection {
@@ -94,6 +99,45 @@ impl FromStr for AttributeSelection {
             ));
         }
         Ok(if names == ["all"] { AttributeSelection::All } else { AttributeSelection::Named(names) })
+    }
+}
+
+impl ColumnNames {
+    /// Each new name, with the name or the number, from 1 on, of a column of the file. Not empty.
+    pub fn pairs(&self) -> &[(String, String)] {
+        &self.0
+    }
+}
+
+impl fmt::Display for ColumnNames {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let pairs: Vec<String> = self.0.iter().map(|(new, column)| format!("{new}={column}")).collect();
+        f.write_str(&pairs.join(","))
+    }
+}
+
+impl FromStr for ColumnNames {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<ColumnNames, String> {
+        let mut pairs: Vec<(String, String)> = Vec::new();
+        for pair in text.split(',') {
+            let (new, column) =
+                pair.split_once('=').map_or(("", ""), |(new, column)| (new.trim(), column.trim()));
+            if new.is_empty() || column.is_empty() {
+                return Err(format!(
+                    "`{text}` does not name columns: expected pairs of a new name and a column, by its name or its \
+                     number from 1 on, such as x=centroid_x,y=centroid_y,z=3"
+                ));
+            }
+            if let Some((twice, _)) = pairs.iter().find(|(other, one)| other == new || one == column) {
+                return Err(format!(
+                    "`{text}` has `{twice}`, or its column, twice: expected one column for each name"
+                ));
+            }
+            pairs.push((new.to_owned(), column.to_owned()));
+        }
+        Ok(ColumnNames(pairs))
     }
 }
 
@@ -135,7 +179,7 @@ macro_rules! as_text {
         }
     )+};
 }
-as_text!(AttributeSelection, ClipBox, ParticleFilter);
+as_text!(AttributeSelection, ClipBox, ColumnNames, ParticleFilter);
 
 // Lengths as users write them: `0.05`, `0.6d`, `5h`.
 
@@ -273,6 +317,12 @@ mod tests {
         assert_eq!(parsed, ClipBox { min: [-1.0, 0.0, 0.5], max: [1000.0, 2.0, 3.0] });
         for text in ["", "1,2,3", "1,2,3,4,5,6,7", "1,2,3,4,5,x"] {
             assert!(text.parse::<ClipBox>().is_err_and(|why| why.contains("six numbers")), "{text}");
+        }
+        let columns: ColumnNames = "x=cx, y=cy,z = 3,id=p=1".parse().expect("columns");
+        assert_eq!(columns.to_string(), "x=cx,y=cy,z=3,id=p=1");
+        for text in ["", "x", "x=", "=cx", "x=1,,y=2", "x=1,x=2", "x=1,y=1"] {
+            let why = text.parse::<ColumnNames>().expect_err(text);
+            assert!(why.contains("`") && why.contains("expected"), "{why}");
         }
         assert_eq!("all".parse(), Ok(AttributeSelection::All));
         assert_eq!("v, id".parse(), Ok(AttributeSelection::Named(vec!["v".into(), "id".into()])));

@@ -1,0 +1,80 @@
+//! `--columns`: tables whose columns have unusual names or none, and tables beside them that are no frames.
+
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+
+use tempfile::{TempDir, tempdir};
+
+use crate::program::scene::{assert_refused, block, meniscus, names_in, write_ply};
+
+const NAMED: &str = "x=alpha,y=gamma,z=3,radius=5";
+
+fn write_table(path: &Path, header: &str, rows: impl Iterator<Item = String>) {
+    let mut text = format!("{header}\n");
+    rows.for_each(|row| writeln!(text, "{row}").expect("strings take everything"));
+    fs::write(path, text).expect("written");
+}
+
+/// A folder with two frames in `odd`, beside a table of a gauge, and the same frames with usual names in `usual`.
+fn scene() -> TempDir {
+    let folder = tempdir().expect("a folder");
+    for name in ["odd", "usual"] {
+        fs::create_dir(folder.path().join(name)).expect("made");
+    }
+    for number in [1, 2] {
+        let particles = block(5, 0.03 * f64::from(number));
+        let name = format!("dam.{number}.csv");
+        let odd = particles.iter().map(|[x, y, z]| format!("7,{x},{z},{y},0.05"));
+        write_table(&folder.path().join("odd").join(&name), "n,alpha,beta,gamma,delta", odd);
+        let usual = particles.iter().map(|[x, y, z]| format!("{x},{y},{z},7,0.05"));
+        write_table(&folder.path().join("usual").join(&name), "x,y,z,n,radius", usual);
+    }
+    let gauge = (0..9).map(|time| format!("0.{time},{},3,1,2", 100 + time));
+    write_table(&folder.path().join("odd").join("gauge.csv"), "t,p,q,r,s", gauge);
+    folder
+}
+
+#[test]
+fn named_columns_give_the_surface_of_usual_names() {
+    let scene = scene();
+    let convert = |input: &str, more: &[&str]| {
+        let out = format!("{input}_out");
+        let arguments = ["convert", input, "--out", &out, "--format", "obj", "--radius-attribute", "radius"];
+        let result = meniscus(scene.path(), &[&arguments[..], more].concat());
+        assert_eq!(result.status, 0, "{input}: {}", result.err);
+        let surface = |number: u32| {
+            let path = scene.path().join(&out).join(format!("dam.{number}.obj"));
+            let text =
+                fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+            text.lines().filter(|line| !line.starts_with('#')).map(str::to_owned).collect::<Vec<_>>()
+        };
+        ([surface(1), surface(2)], result.out)
+    };
+    let (usual, _) = convert("usual", &[]);
+    let (odd, said) = convert("odd", &["--columns", NAMED]);
+    assert_eq!(odd, usual);
+    assert!(said.contains("skipped gauge.csv: a table without particles"), "{said}");
+    let names = names_in(&scene.path().join("odd_out"));
+    assert!(!names.iter().any(|name| name.starts_with("gauge")), "{names:?}");
+}
+
+#[test]
+fn errors_propose_the_option_and_say_what_is_missing() {
+    let scene = scene();
+    let folder = scene.path();
+    write_ply(&folder.join("block.ply"), &block(4, 0.0));
+    let convert = ["convert", "odd/dam.1.csv", "--out", "out"];
+    assert_refused(
+        folder,
+        &convert,
+        &["--columns x=n,y=alpha,z=beta", "line 1", "n, alpha, beta, gamma, delta"],
+    );
+    let more = |more: &'static str| [&convert[..], &["--columns", more]].concat();
+    assert_refused(folder, &more("x=alpha,y=beta,z=omega"), &["no column `omega`", "found n, alpha, beta"]);
+    assert_refused(folder, &more("x=2,y=3,z=6"), &["no column `6`"]);
+    assert_refused(folder, &more("x=alpha"), &["expected a header with position columns"]);
+    assert_refused(folder, &more("x=alpha,y"), &["x=centroid_x"]);
+    let ply = ["convert", "block.ply", "--out", "out", "--columns", "x=1,y=2,z=3"];
+    assert_refused(folder, &ply, &["block.ply", "this is not a table"]);
+}
