@@ -123,11 +123,11 @@ pub fn read_particles_named(
         let what = "this is not a table of text: --columns names the columns of such tables only";
         Err(Error::unsupported(format, what))
     };
+    if let Some(format) = format_of_packed(bytes).filter(|_| !columns.is_empty()) {
+        return named_in(format.name());
+    }
     if let Some(frame) = packed::unpack(bytes, limits) {
         let format = format_of_packed(bytes).map_or("", Format::name);
-        if !columns.is_empty() {
-            return named_in(format);
-        }
         return with_finite(format, frame?);
     }
     let Probe { kind, codec } = probe(bytes, file_name);
@@ -146,6 +146,7 @@ pub fn read_particles_named(
     }
     if !columns.is_empty() {
         if !is_text_of_rows(kind) {
+            reader_of(kind, codec)?;
             return named_in(kind.name());
         }
         let bytes = compression::decompressed(bytes, limits)?;

@@ -3,8 +3,9 @@
 use std::io;
 
 use crate::batches::ReadAt;
-use crate::compression::Codec;
+use crate::compression::{self, Codec};
 use crate::csv;
+use crate::error::Result;
 use crate::limits::Limits;
 use crate::obj_points;
 use crate::ply;
@@ -63,9 +64,11 @@ pub fn neighbor(head: &[u8], file_name: &str, file: &dyn ReadAt) -> Option<Neigh
             csv::is_other_table(&start[..whole_lines]).then_some(Neighbor::Table)
         }
         Format::Obj => {
-            let has_faces = obj_points::has_faces(start)
-                || unpacked.is_none() && tail(file).is_ok_and(|tail| obj_points::has_faces(&tail));
-            has_faces.then_some(Neighbor::Mesh)
+            let has_faces_below = || match unpacked {
+                None => tail(file).is_ok_and(|tail| obj_points::has_faces(&tail)),
+                Some(_) => content(file).is_ok_and(|content| obj_points::has_faces(&content)),
+            };
+            (obj_points::has_faces(start) || has_faces_below()).then_some(Neighbor::Mesh)
         }
         Format::Vtp => vtk::xml_neighbor(start),
         Format::VtkIndex => Some(Neighbor::Index),
@@ -74,6 +77,15 @@ pub fn neighbor(head: &[u8], file_name: &str, file: &dyn ReadAt) -> Option<Neigh
         Format::VtkLegacy => vtk::legacy_neighbor(file),
         _ => None,
     }
+}
+
+/// The content of a compressed file.
+fn content(file: &dyn ReadAt) -> Result<Vec<u8>> {
+    let limits = Limits::default();
+    let mut bytes =
+        vec![0; usize::try_from(file.size_bytes()?.min(limits.decompressed_bytes)).unwrap_or_default()];
+    file.read_exact_at(&mut bytes, 0)?;
+    Ok(compression::decompressed(&bytes, &limits)?.into_owned())
 }
 
 /// The last bytes of a file, from the beginning of a line on.

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //!   v 0.1 0.2 0.3                  a particle
-//!   v 0.1 0.2 0.3 1 0.5 0          with a colour: all of them have one, or it is left out
+//!   v 0.1 0.2 0.3 1 0.5 0          with a colour: all of them have one, or it is left out, with a note
 //!   p 1 2                          ignored, as are normals and names
 //! ```
 
@@ -67,8 +67,12 @@ pub(crate) fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         colors.extend(color.iter().filter(|channel| !channel.is_nan()).map(|&channel| channel as f32));
     }
     let mut frame = ParticleFrame { positions: FilePositions::F64(positions), ..ParticleFrame::default() };
-    if !colors.is_empty() && colors.len() == 3 * frame.positions.len() {
+    let colors_fit = colors.is_empty() || colors.len() == 3 * frame.positions.len();
+    if !colors.is_empty() && colors_fit {
         frame.attributes.push(with_role("color".into(), 3, Some(AttributeRole::Color), Values::F32(colors)));
+    }
+    if !colors_fit {
+        frame.notes.push("the colours are left out: only some of the vertices have one".into());
     }
     frame.notes.extend(open_end_note(bytes).filter(|_| !frame.positions.is_empty()));
     Ok(frame)

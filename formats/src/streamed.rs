@@ -39,6 +39,13 @@ impl Streamed {
         }
     }
 
+    fn magic(self) -> &'static [u8] {
+        match self {
+            Streamed::Xz => &XZ_MAGIC,
+            Streamed::Bzip2 => &BZIP2_MAGIC,
+        }
+    }
+
     /// Whether a file has this compression, by its first bytes.
     pub(crate) fn is_of(self, bytes: &[u8]) -> bool {
         match self {
@@ -52,32 +59,63 @@ impl Streamed {
         }
     }
 
-    /// Decompresses all parts of the file and joins them.
+    /// Decompresses all parts of the file and joins them. Zeros after them are ignored, as of gzip.
     ///
     /// # Errors
     /// `Truncated` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed
-    /// file; `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`, or if the dictionary is too large.
+    /// file; `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`, or if the dictionary is too large;
+    /// `Unsupported` for a filter of xz other than LZMA2.
     pub(crate) fn decompress(self, bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
-        let (mut decompressed, mut source) = (Vec::new(), Source { bytes, at: 0 });
-        let mut decoder = self.decoder(&mut source);
+        let mut decompressed = Vec::new();
+        let mut rest = bytes;
+        while !rest.is_empty() {
+            let outcome = self.read_stream(&mut rest, bytes.len() as u64, limits, &mut decompressed);
+            let at = bytes.len() - rest.len();
+            match outcome {
+                Ok(()) => {}
+                Err(StreamFailure::Limit(error)) => return Err(error),
+                Err(StreamFailure::Damage(error)) => return Err(self.damage(&error, at)),
+            }
+            let padding = rest.iter().take_while(|byte| **byte == 0).count();
+            rest = &rest[padding..];
+            if !rest.is_empty() && !self.is_of(rest) {
+                let position = Position::Offset((at + padding) as u64);
+                let what = "the compressed data is followed by other bytes";
+                return Err(if self.magic().starts_with(rest) {
+                    Error::truncated(self.name(), position, what)
+                } else {
+                    Error::invalid(self.name(), position, what)
+                });
+            }
+        }
+        Ok(decompressed)
+    }
+
+    /// Decompresses the part at the beginning of `rest`, of a file of `size` bytes, and removes it from `rest`.
+    fn read_stream(
+        self,
+        rest: &mut &[u8],
+        size: u64,
+        limits: &Limits,
+        decompressed: &mut Vec<u8>,
+    ) -> std::result::Result<(), StreamFailure> {
+        let mut decoder = self.decoder(rest);
         loop {
             let before = decompressed.len();
-            let outcome = decoder.by_ref().take(PIECE_BYTES as u64).read_to_end(&mut decompressed);
-            limits.check_decompressed(self.name(), decompressed.len() as u64, bytes.len() as u64)?;
-            if let Err(error) = outcome {
-                drop(decoder);
-                return Err(self.damage(&error, source.at));
-            }
+            let outcome = decoder.by_ref().take(PIECE_BYTES as u64).read_to_end(decompressed);
+            limits
+                .check_decompressed(self.name(), decompressed.len() as u64, size)
+                .map_err(StreamFailure::Limit)?;
+            outcome.map_err(StreamFailure::Damage)?;
             if decompressed.len() == before {
-                return Ok(decompressed);
+                return Ok(());
             }
         }
     }
 
     /// Decompresses the first bytes of the content: at most `length`, or fewer if the input ends or is damaged.
-    pub(crate) fn decompress_head(self, bytes: &[u8], length: usize) -> Vec<u8> {
-        let mut source = Source { bytes, at: 0 };
-        let mut decoder = self.decoder(&mut source);
+    pub(crate) fn decompress_head(self, mut bytes: &[u8], length: usize) -> Vec<u8> {
+        let mut decoder = self.decoder(&mut bytes);
         let mut head = vec![0; length];
         let mut filled = 0;
         while filled < length {
@@ -92,15 +130,16 @@ impl Streamed {
 
     /// Fails if the first bytes are damaged; discards what they decompress to.
     pub(crate) fn check_start(self, bytes: &[u8]) -> Result<()> {
-        let mut source = Source { bytes, at: 0 };
-        let outcome = self.decoder(&mut source).read(&mut [0]);
-        outcome.map(drop).map_err(|error| self.damage(&error, source.at))
+        let mut rest = bytes;
+        let outcome = self.decoder(&mut rest).read(&mut [0]);
+        outcome.map(drop).map_err(|error| self.damage(&error, bytes.len() - rest.len()))
     }
 
-    fn decoder<'s>(self, source: &'s mut Source<'_>) -> Box<dyn Read + 's> {
+    /// The decoder of one part.
+    fn decoder<'s>(self, rest: &'s mut &[u8]) -> Box<dyn Read + 's> {
         match self {
-            Streamed::Xz => Box::new(lzma_rust2::XzReader::new_mem_limit(source, true, XZ_MEMORY_KB)),
-            Streamed::Bzip2 => Box::new(bzip2::read::MultiBzDecoder::new(source)),
+            Streamed::Xz => Box::new(lzma_rust2::XzReader::new_mem_limit(rest, false, XZ_MEMORY_KB)),
+            Streamed::Bzip2 => Box::new(bzip2::bufread::BzDecoder::new(rest)),
         }
     }
 
@@ -112,27 +151,24 @@ impl Streamed {
             }
             ErrorKind::OutOfMemory => {
                 let what = format!(
-                    "decompression needs more than the limit of {XZ_MEMORY_KB} KiB: compress the file at level 9 or lower"
+                    "decompression needs more than the limit of {XZ_MEMORY_KB} KiB: compress the file at level 9 or \
+                     lower"
                 );
                 Error::too_large(self.name(), what)
+            }
+            ErrorKind::Unsupported => {
+                let what = format!("{error}: compress the file with the usual settings of xz");
+                Error::unsupported(self.name(), what)
             }
             _ => Error::invalid(self.name(), position, format!("the compressed data is damaged: {error}")),
         }
     }
 }
 
-/// The compressed bytes, and how many of them were read.
-struct Source<'b> {
-    bytes: &'b [u8],
-    at: usize,
-}
-
-impl Read for Source<'_> {
-    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
-        let count = (&self.bytes[self.at..]).read(buffer)?;
-        self.at += count;
-        Ok(count)
-    }
+/// Why a file was not decompressed.
+enum StreamFailure {
+    Limit(Error),
+    Damage(std::io::Error),
 }
 
 #[cfg(test)]
@@ -172,6 +208,8 @@ mod tests {
             let twice = [&bytes[..], &bytes].concat();
             assert_eq!(of.decompress(&twice, &Limits::default()).expect("content").len(), 2 * content.len());
             assert!(of.check_start(&bytes).is_ok());
+            let padded = [&bytes[..], &[0; 510]].concat();
+            assert_eq!(of.decompress(&padded, &Limits::default()).expect("padding"), content, "{of:?}");
         }
     }
 
@@ -184,6 +222,12 @@ mod tests {
                 let error = of.decompress(&bytes[..end], &Limits::default()).expect_err("truncated");
                 assert!(error.is_truncated(), "{of:?} {end}: {error}");
             }
+            for (more, is_truncated) in [(&of.magic()[..3], true), (b"text", false)] {
+                let error =
+                    of.decompress(&[&bytes[..], more].concat(), &Limits::default()).expect_err("more");
+                assert!(error.to_string().contains("followed by other bytes"), "{error}");
+                assert_eq!(error.is_truncated(), is_truncated, "{error}");
+            }
             let mut damaged = bytes.clone();
             damaged[bytes.len() / 2] ^= 0x55;
             let error = of.decompress(&damaged, &Limits::default()).expect_err("damaged").to_string();
@@ -192,5 +236,16 @@ mod tests {
             let error = of.decompress(&bytes, &limits).expect_err("too large").to_string();
             assert!(error.contains("limit"), "{error}");
         }
+    }
+
+    #[test]
+    fn dictionaries_beyond_the_limit_are_refused() {
+        let mut options = lzma_rust2::XzOptions::with_preset(1);
+        options.lzma_options.dict_size = 256 << 20;
+        let mut writer = lzma_rust2::XzWriter::new(Vec::new(), options).expect("options");
+        writer.write_all(b"text").expect("memory");
+        let bytes = writer.finish().expect("memory");
+        let error = Streamed::Xz.decompress(&bytes, &Limits::default()).expect_err("too large");
+        assert!(matches!(error, Error::TooLarge { .. }), "{error}");
     }
 }

@@ -1,8 +1,11 @@
 //! OBJ files without faces are particles.
 
 use meniscus_formats::{
-    AttributeRole, FilePositions, Limits, ParticleFrame, Result, Values, looks_like_particles, read_particles,
+    AttributeRole, FilePositions, Limits, Neighbor, ParticleFrame, Result, Values, looks_like_particles,
+    neighbor, read_particles,
 };
+
+use crate::truncated::gzipped;
 
 fn read(text: &str) -> Result<ParticleFrame> {
     read_particles(text.as_bytes(), "a.obj", &Limits::default())
@@ -18,6 +21,8 @@ fn vertices_are_particles() {
     assert_eq!((color.arity, color.role), (3, Some(AttributeRole::Color)));
     assert_eq!(color.values, Values::F32(vec![1.0, 0.5, 0.0, 0.0, 0.0, 0.25]));
     assert!(frame.notes[0].contains("may lack digits"), "{:?}", frame.notes);
+    let frame = read("v 0 0 0 1 0.5 0\nv 1 1 1\n").unwrap();
+    assert!(frame.attributes.is_empty() && frame.notes[0].contains("only some of the vertices"), "{frame:?}");
 }
 
 #[test]
@@ -36,6 +41,19 @@ fn meshes_and_damaged_lines_are_refused() {
         let error = read(text).expect_err(words);
         assert!(error.to_string().contains(words), "{error}, not {words}");
         assert_eq!(error.is_truncated(), truncated, "{error}");
+    }
+}
+
+#[test]
+fn faces_below_many_vertices_make_a_mesh_also_if_compressed() {
+    let vertices: String = (0..100_000).map(|index| format!("v {index} 0.{index} {}\n", index % 7)).collect();
+    let of = |text: String, is_packed: bool| {
+        let bytes = if is_packed { gzipped(text.as_bytes()) } else { text.into_bytes() };
+        neighbor(&bytes[..8192], "a.obj", &&bytes[..])
+    };
+    for is_packed in [false, true] {
+        assert_eq!(of(format!("{vertices}f 1 2 3\n"), is_packed), Some(Neighbor::Mesh));
+        assert_eq!(of(vertices.clone(), is_packed), None);
     }
 }
 

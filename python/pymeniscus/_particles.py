@@ -140,6 +140,8 @@ def read(path: str | os.PathLike[str], *, columns: str | None = None) -> Particl
         If the file cannot be opened.
     FormatError
         If the file contains no readable particles. The message has the position in the file.
+    ValueError
+        If ``columns`` does not name columns.
     """
     positions, attributes, notes, file_hash = _native.read(path, columns)
     arrays: dict[str, NDArray[Any]] = {}

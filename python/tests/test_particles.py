@@ -129,3 +129,15 @@ def test_attributes_of_particles_are_selected_by_name(frame, tmp_path):
     assert not pm.reconstruct(particles, preset="noisy").attributes
     with pytest.warns(UserWarning, match="heat"):
         pm.reconstruct(particles, preset="noisy", attributes=["age", "heat"])
+
+
+def test_columns_of_a_table_get_names(tmp_path):
+    path = tmp_path / "parcels.csv"
+    path.write_text("n,alpha,beta,gamma\n7,1,2,3\n8,4,5,6\n", encoding="utf-8")
+    with pytest.raises(pm.FormatError, match="name the columns, as in"):
+        pm.read(path)
+    particles = pm.read(path, columns="x=alpha,y=3,z=gamma,id=n")
+    assert particles.positions.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert particles["id"].tolist() == [7, 8]
+    with pytest.raises(ValueError, match="columns: `x` does not name columns"):
+        pm.read(path, columns="x")

@@ -280,6 +280,9 @@ pub(super) struct MatchedInputs {
     pub(super) unreadable: Vec<(PathBuf, String)>,
     /// Other warnings, one sentence each.
     pub(super) warnings: Vec<String>,
+    /// Tables in the folder that is being searched in which no position was found. They are frames if nothing else is:
+    /// their errors then say what was expected.
+    pub(super) tables: Vec<PathBuf>,
 }
 
 /// Finds the files that the inputs name. In folders, tables that have these columns are frames.
@@ -448,6 +451,12 @@ impl MatchedInputs {
                 }
             }
         }
+        let tables = std::mem::take(&mut self.tables);
+        if self.count() == count_before && !may_be_empty {
+            self.files.extend(tables.into_iter().map(FrameFile::new));
+        } else {
+            tables.into_iter().for_each(|path| self.skip(Some(Neighbor::Table), path, 1));
+        }
         if self.count() == count_before && !may_be_empty {
             let mut hints = Vec::new();
             if self.mesh_count() > mesh_count_before {
@@ -486,11 +495,8 @@ impl MatchedInputs {
         Ok(())
     }
 
-    /// Adds those of the files in a folder that are frames. The files that another one joins to a frame are not. Tables
-    /// in which no position was found are frames if nothing else is: their errors then say what was expected.
+    /// Adds those of the files in a folder that are frames. The files that another one joins to a frame are not.
     fn add_files(&mut self, files: &[PathBuf], columns: Option<&ColumnNames>) {
-        let count_before = self.count();
-        let mut tables = Vec::new();
         let joined: HashSet<PathBuf> =
             files.iter().filter(|path| joins_files(path)).flat_map(|path| files_joined_by(path)).collect();
         for path in files {
@@ -502,7 +508,7 @@ impl MatchedInputs {
                 Ok(SniffedContent::Particles | SniffedContent::OwnParticles) => {
                     self.files.push(FrameFile::new(path.clone()));
                 }
-                Ok(SniffedContent::Neighbor(Neighbor::Table)) => tables.push(path.clone()),
+                Ok(SniffedContent::Neighbor(Neighbor::Table)) => self.tables.push(path.clone()),
                 Ok(SniffedContent::Neighbor(neighbor)) => self.skip(Some(neighbor), path.clone(), 1),
                 Ok(SniffedContent::OwnOutput | SniffedContent::NotParticles) => {
                     self.skip(None, path.clone(), 1);
@@ -512,11 +518,6 @@ impl MatchedInputs {
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {}
                 Err(error) => self.unreadable.push((path.clone(), error.to_string())),
             }
-        }
-        if self.count() == count_before {
-            self.files.extend(tables.into_iter().map(FrameFile::new));
-        } else {
-            tables.into_iter().for_each(|path| self.skip(Some(Neighbor::Table), path, 1));
         }
     }
 

@@ -78,3 +78,23 @@ fn errors_propose_the_option_and_say_what_is_missing() {
     let ply = ["convert", "block.ply", "--out", "out", "--columns", "x=1,y=2,z=3"];
     assert_refused(folder, &ply, &["block.ply", "this is not a table"]);
 }
+
+#[test]
+fn tables_beside_numbered_folders_and_level_sets_are_no_frames() {
+    let scene = scene();
+    let folder = scene.path();
+    fs::create_dir_all(folder.join("foam/0.5")).expect("made");
+    fs::copy(folder.join("odd/gauge.csv"), folder.join("foam/residuals.csv")).expect("copied");
+    write_ply(&folder.join("foam/0.5/cloud.ply"), &block(4, 0.0));
+    let result = meniscus(folder, &["convert", "foam", "--out", "sets", "--format", "vdb"]);
+    assert_eq!(result.status, 0, "{}{}", result.out, result.err);
+    assert!(result.out.contains("skipped residuals.csv: a table without particles"), "{}", result.out);
+    fs::copy(folder.join("odd/gauge.csv"), folder.join("sets/stats.csv")).expect("copied");
+    let result = meniscus(folder, &["render", "sets", "--out", "pictures", "--size", "64x48"]);
+    assert_eq!(result.status, 0, "{}{}", result.out, result.err);
+    assert_eq!(names_in(&folder.join("pictures")).len(), 1);
+    // A folder with nothing else: the error says what was expected.
+    fs::create_dir(folder.join("alone")).expect("made");
+    fs::copy(folder.join("odd/gauge.csv"), folder.join("alone/gauge.csv")).expect("copied");
+    assert_refused(folder, &["convert", "alone", "--out", "out"], &["gauge.csv", "--columns"]);
+}

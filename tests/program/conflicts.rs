@@ -136,3 +136,24 @@ fn fails_in_one_frame(path: &Path, arguments: &[&str], words: &[&str]) {
         assert!(result.err.contains(word), "{arguments:?} does not say {word}: {}", result.err);
     }
 }
+
+#[test]
+fn points_in_an_obj_are_not_replaced_and_an_empty_mesh_is() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 1);
+    fs::create_dir(path.join("out")).expect("made");
+    let convert = ["convert", "dam.1.ply", "--format", "obj", "--out", "out"];
+    fs::write(path.join("out/dam.1.obj"), "v 0 0 0\nv 1 0 0\n").expect("written");
+    assert_refused(path, &convert, &["dam.1.obj would replace a file that is not a surface of meniscus"]);
+    // A mesh without faces is still a mesh of this program.
+    fs::write(path.join("dam.1.csv"), "x,y,z\n").expect("written");
+    let convert = ["convert", "dam.1.csv", "--format", "obj", "--out", "empty", "--spacing", "0.1"];
+    for _ in 0..2 {
+        let result = meniscus(path, &convert);
+        assert_eq!(result.status, 0, "{}", result.err);
+    }
+    let result = meniscus(path, &["render", "empty", "--out", "pictures", "--size", "64x48"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert_eq!(names_in(&path.join("pictures")), ["dam.1.png"]);
+}

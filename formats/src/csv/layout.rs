@@ -8,6 +8,7 @@ use super::rows::{
     unquoted,
 };
 use crate::columns::{self, Columns};
+use crate::data::AttributeRole;
 use crate::first_column::FirstColumn;
 use crate::text::excerpts;
 use crate::{Error, Limits, Position, Result};
@@ -64,15 +65,15 @@ impl<'a> Naming<'a> {
     }
 
     /// The position among these columns, of a table that need not have a header.
-    fn position_among(self, names: Vec<String>) -> Option<ColumnNames> {
+    fn position_among(self, names: Vec<String>) -> Option<NamedColumns> {
         let names = self.applied(names).ok()?;
         let position = group(&names, |_| false).position?;
-        Some(ColumnNames { names, position })
+        Some(NamedColumns { names, position })
     }
 
     /// The position among columns without names in the file, which are `written` in its place: if no new name says what
     /// it is, the columns have these names.
-    fn position_of_unnamed(self, written: Vec<String>, usual: ColumnNames) -> Option<ColumnNames> {
+    fn position_of_unnamed(self, written: Vec<String>, usual: NamedColumns) -> Option<NamedColumns> {
         if let Some(named) = self.position_among(written.clone()) {
             return Some(named);
         }
@@ -85,7 +86,7 @@ impl<'a> Naming<'a> {
         let names: Vec<String> =
             pairs.map(|((name, written), usual)| if name == written { usual } else { name }).collect();
         let position = group(&names, |_| false).position?;
-        Some(ColumnNames { names, position })
+        Some(NamedColumns { names, position })
     }
 
     /// Why these columns have no position, and what to do.
@@ -200,7 +201,7 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
             return !text_last.is_some_and(|text| is_header_like(text, delimiter, count));
         }
         let Ok(next) = lines.peek_row() else { return false };
-        let is_above = |(delimiter, header): (Delimiter, ColumnNames)| {
+        let is_above = |(delimiter, header): (Delimiter, NamedColumns)| {
             next.is_none_or(|next| header.names_positions_of(next, delimiter))
         };
         if headers(line.text, naming).any(is_above) {
@@ -212,7 +213,8 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
 }
 
 /// Whether a text starts like a table of something else than particles: its header names no position; or it also names
-/// a time, and the first rows are of several times, as those of a probe. `head` ends with a whole line, or the file.
+/// a time and no id, and each of the first rows has a later time than the one before, as those of a probe. `head` ends
+/// with a whole line, or the file.
 pub(crate) fn is_other_table(head: &[u8]) -> bool {
     let (text, limits) = (super::decoded(head), Limits::default());
     let mut lines = HeadLines::new(&text, &limits);
@@ -245,8 +247,10 @@ pub(crate) fn is_other_table(head: &[u8]) -> bool {
         Some(CellValue::Number(time)) => Some(time),
         _ => None,
     };
-    let first = time_of(row);
-    std::iter::from_fn(next).filter_map(time_of).any(|time| first.is_some_and(|first| time > first))
+    let has_id =
+        cells(names, delimiter).map(name).any(|name| columns::role_of(&name, 1) == Some(AttributeRole::Id));
+    let times: Vec<f64> = [row].into_iter().chain(std::iter::from_fn(next)).filter_map(time_of).collect();
+    !has_id && times.len() > 1 && times.windows(2).all(|pair| pair[0] < pair[1])
 }
 
 /// Whether a line names a position, and so can be a header.
@@ -255,7 +259,7 @@ pub(crate) fn names_position(line: &[u8]) -> bool {
 }
 
 /// The line as a header, with each delimiter for which it names a position.
-fn headers(line: &[u8], naming: Naming) -> impl Iterator<Item = (Delimiter, ColumnNames)> {
+fn headers(line: &[u8], naming: Naming) -> impl Iterator<Item = (Delimiter, NamedColumns)> {
     DELIMITERS.into_iter().filter_map(move |delimiter| {
         header(line, delimiter, naming).ok().flatten().map(|header| (delimiter, header))
     })
@@ -263,7 +267,7 @@ fn headers(line: &[u8], naming: Naming) -> impl Iterator<Item = (Delimiter, Colu
 
 /// The comment as a header, with each delimiter for which it names a position. YADE writes
 /// `#format x_y_z_r`.
-fn headers_in_comment(comment: &[u8], naming: Naming) -> Vec<(Delimiter, ColumnNames)> {
+fn headers_in_comment(comment: &[u8], naming: Naming) -> Vec<(Delimiter, NamedColumns)> {
     match comment.strip_prefix(b"format") {
         Some(names) if names.starts_with(b" ") => {
             let blank = |byte: &u8| if *byte == b'_' { b' ' } else { *byte };
@@ -351,7 +355,8 @@ impl<'a> TableHead<'a> {
         let first = FirstColumn::of(first_numbers(&bytes[row.offset..], delimiter), count);
         if first == FirstColumn::Unclear {
             let what = "the table has no header, and its first column has a different integer in each row: it may \
-                        be an id or a position; add a header that names the columns, such as id,x,y,z";
+                        be an id or a position; add a header that names the columns, such as id,x,y,z, or name them with \
+                        --columns x=2,y=3,z=4";
             return Err(Error::invalid(FORMAT, Position::Line(row.number), what));
         }
         let skipped = usize::from(first == FirstColumn::Id);
@@ -366,7 +371,7 @@ impl<'a> TableHead<'a> {
                  the others are named column_4 and so on"
             ));
         }
-        let usual = ColumnNames::unnamed(&["id"][..skipped], count);
+        let usual = NamedColumns::unnamed(&["id"][..skipped], count);
         match naming.position_of_unnamed(written.clone(), usual) {
             Some(header) => Ok(header.into_layout(delimiter, row.offset, row.number, notes)),
             None => Err(Error::invalid(FORMAT, Position::Line(row.number), naming.why_none_among(written))),
@@ -415,17 +420,17 @@ impl<'a> TableHead<'a> {
 }
 
 /// Column names that include a position.
-struct ColumnNames {
+struct NamedColumns {
     names: Vec<String>,
     position: [usize; 3],
 }
 
-impl ColumnNames {
+impl NamedColumns {
     /// Names for `count` columns: those of the first ones, then the position, then the columns' numbers.
-    fn unnamed(first: &[&str], count: usize) -> ColumnNames {
+    fn unnamed(first: &[&str], count: usize) -> NamedColumns {
         let known = first.iter().chain(&["x", "y", "z"]).map(ToString::to_string);
         let names = known.chain((first.len() + 3..count).map(column_name)).collect();
-        ColumnNames { names, position: [0, 1, 2].map(|axis| first.len() + axis) }
+        NamedColumns { names, position: [0, 1, 2].map(|axis| first.len() + axis) }
     }
 
     /// Whether a row has the same number of cells, and numbers or missing values in the position columns.
@@ -450,7 +455,7 @@ impl ColumnNames {
 }
 
 /// Parses the line as a header, if it names a position with this delimiter.
-fn header(line: &[u8], delimiter: Delimiter, naming: Naming) -> Result<Option<ColumnNames>> {
+fn header(line: &[u8], delimiter: Delimiter, naming: Naming) -> Result<Option<NamedColumns>> {
     if !has_enough_cells(line, delimiter) {
         return Ok(None);
     }
@@ -492,7 +497,7 @@ fn column_name(index: usize) -> String {
 
 /// The header of a table whose columns have numbers instead of names, as in `0,1,2`. The column of row
 /// numbers before them, in `,0,1,2`, has no name. Programs that write data frames do that.
-fn numbered_columns(line: &[u8], delimiter: Delimiter, naming: Naming) -> Option<ColumnNames> {
+fn numbered_columns(line: &[u8], delimiter: Delimiter, naming: Naming) -> Option<NamedColumns> {
     let index_count = usize::from(cells(line, delimiter).next()?.is_empty());
     let numbers = || cells(line, delimiter).skip(index_count).map(unquoted);
     let is_numbered = numbers().enumerate().all(|(index, number)| *number == *index.to_string().as_bytes());
@@ -503,7 +508,7 @@ fn numbered_columns(line: &[u8], delimiter: Delimiter, naming: Naming) -> Option
     let index = ["index".to_owned()];
     let as_written =
         index[..index_count].iter().cloned().chain((0..count - index_count).map(|number| number.to_string()));
-    naming.position_of_unnamed(as_written.collect(), ColumnNames::unnamed(&["index"][..index_count], count))
+    naming.position_of_unnamed(as_written.collect(), NamedColumns::unnamed(&["index"][..index_count], count))
 }
 
 /// Whether one of the first cells of a line has a number that is not an integer.

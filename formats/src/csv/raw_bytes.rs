@@ -41,17 +41,22 @@ pub(super) fn with_numbers(text: &[u8]) -> Option<(Vec<u8>, String)> {
     }
     let mut out = text[..rows_at].to_vec();
     let mut rest = &text[rows_at..];
-    while !rest.is_empty() {
+    while !rest.trim_ascii().is_empty() {
         for (column, &is_raw) in is_raw.iter().enumerate() {
             if is_raw {
-                out.extend_from_slice(rest.split_off_first()?.to_string().as_bytes());
+                let Some(byte) = rest.split_off_first() else { break }; // the table ends within the row
+                out.extend_from_slice(byte.to_string().as_bytes());
             } else {
                 let length =
                     rest.iter().position(|byte| matches!(byte, b',' | b'\n' | b'\r')).unwrap_or(rest.len());
                 out.extend_from_slice(rest.split_off(..length)?);
             }
             if column + 1 < header.len() {
-                rest = rest.strip_prefix(b",")?;
+                match rest {
+                    [b',', below @ ..] => rest = below,
+                    [] => break,
+                    _ => return None,
+                }
                 out.push(b',');
             }
         }
@@ -76,6 +81,18 @@ mod tests {
         let expected = "\"Type\",\"x\",\"y\",\"z\",\"Mk\"\r\n3,1,2,3,1\n44,4,5,6,10\n48,7,8,9,0\n";
         assert_eq!(String::from_utf8_lossy(&text), expected);
         assert_eq!(note, "read raw bytes as numbers, in the columns \"Type\", \"Mk\"");
+    }
+
+    #[test]
+    fn incomplete_tables_are_left_to_the_reader_of_rows() {
+        let table = b"x,y,z,Mk\n1,2,3,\x01\n4,5,6,\x02\n";
+        let read =
+            |end: usize| String::from_utf8(with_numbers(&table[..end]).expect("raw bytes").0).expect("text");
+        assert_eq!(read(table.len() - 1), "x,y,z,Mk\n1,2,3,1\n4,5,6,2");
+        assert_eq!(read(table.len() - 2), "x,y,z,Mk\n1,2,3,1\n4,5,6,");
+        assert_eq!(read(table.len() - 5), "x,y,z,Mk\n1,2,3,1\n4,5");
+        let (padded, _) = with_numbers(&[&table[..], b"\n \n"].concat()).expect("raw bytes");
+        assert_eq!(padded, b"x,y,z,Mk\n1,2,3,1\n4,5,6,2\n");
     }
 
     #[test]

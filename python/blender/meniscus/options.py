@@ -13,7 +13,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from pymeniscus import OptionInfo, option_table
 
 # Options with properties of their own in `live` or `bake`, and options that have no effect on a mesh in Blender.
-OTHERS = {"preset", "spacing", "radius_attribute", "quads", "temporal", "time_step"}
+OTHERS = {"preset", "spacing", "columns", "radius_attribute", "quads", "temporal", "time_step"}
 OTHER_GROUPS = {"Obstacles"}
 # The options in the panel itself; the others are in subpanels by group.
 MAIN = ("voxel_size", "position_smoothing", "laplacian_steps", "steps", "offset", "decimate")

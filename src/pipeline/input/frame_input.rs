@@ -197,7 +197,8 @@ impl FileParticles {
             None => several_kinds(attributes()),
         };
         let of_file = self.batches.notes().iter().cloned().map(Warning::Sentence);
-        Ok(of_file.chain(about_kinds).chain(various_radii(attributes())).collect())
+        let about_radii = if self.chosen.is_none() { various_radii(attributes()) } else { None };
+        Ok(of_file.chain(about_kinds).chain(about_radii).collect())
     }
 
     /// Some batches, evenly distributed.

@@ -17,6 +17,7 @@ use super::obstacle_file::may_have_buffers;
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::open::{open_regular, read_regular};
+use crate::pipeline::records::content::{SniffedContent, own_content};
 use crate::pipeline::target::viewpoint::Viewpoint;
 use crate::render::{Picture, TriangleMesh, render_mesh};
 
@@ -105,7 +106,11 @@ pub fn is_mesh(path: &Path) -> bool {
     let Ok(head) = open_regular(path).and_then(|file| read_head(file, HEAD_BYTES)) else { return false };
     let has_faces =
         || InputFile::open(path).is_ok_and(|file| neighbor(&head, &name, &file) == Some(Neighbor::Mesh));
+    // A mesh of an empty frame has no faces.
+    let is_own_empty =
+        || *format == Format::Obj && own_content(&head, &name) == Some(SniffedContent::OwnOutput);
     looks_like_mesh(&head, &name)
+        || is_own_empty()
         || has_faces()
         || !format.has_particles() && !looks_like_particles(&head, &name)
 }

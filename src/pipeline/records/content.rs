@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use meniscus_formats::compression::read_head;
 use meniscus_formats::container::is_container;
 use meniscus_formats::{
-    Content, Format, Neighbor, has_columns, looks_like_particles, neighbor, probe, read_provenance,
+    Content, Format, Neighbor, OutputFormat, has_columns, looks_like_particles, neighbor, probe,
+    read_provenance,
 };
 
 use super::provenance::{HEAD_BYTES, are_particles};
@@ -104,7 +105,9 @@ pub(crate) fn irreplaceable_output(
     job: Job,
 ) -> Result<Option<PathBuf>, (PathBuf, io::Error)> {
     for &format in &options.formats {
-        if format.particles().is_none() && !matches!(format.content(), Content::LevelSet) {
+        // Programs for scanning write points as OBJ; this one writes meshes only.
+        let may_be_data = format == OutputFormat::Obj || format.particles().is_some();
+        if !may_be_data && !matches!(format.content(), Content::LevelSet) {
             continue;
         }
         let output = output_path(&options.folder, stem, format);
@@ -135,7 +138,11 @@ fn is_irreplaceable(path: &Path, job: Job) -> io::Result<bool> {
     Ok(match own_content(&head, &name) {
         Some(SniffedContent::OwnParticles) => job != Job::Particles,
         Some(_) => false,
-        None => probe(&head, &name).kind.format() == Some(Format::Vdb) || looks_like_particles(&head, &name),
+        None => match probe(&head, &name).kind.format() {
+            Some(Format::Vdb) => true,
+            Some(Format::Obj) => neighbor(&head, &name, &InputFile::open(path)?).is_none(),
+            _ => looks_like_particles(&head, &name),
+        },
     })
 }
 
@@ -145,7 +152,7 @@ fn head_and_name(path: &Path) -> io::Result<(Vec<u8>, String)> {
 }
 
 /// The content of a file whose first bytes contain this program's provenance.
-fn own_content(head: &[u8], name: &str) -> Option<SniffedContent> {
+pub(crate) fn own_content(head: &[u8], name: &str) -> Option<SniffedContent> {
     let format = probe(head, name).kind.format().and_then(Format::output);
     let format = format.filter(|format| !format.is_picture())?;
     // A damaged head contains no provenance.
@@ -165,7 +172,7 @@ mod tests {
 
     #[test]
     fn content_distinguishes_frames_outputs_and_other_files() {
-        use meniscus_formats::{MeshOptions, MeshView, OutputFormat, gltf, ply};
+        use meniscus_formats::{MeshOptions, MeshView, gltf, ply};
         let folder = tempdir().expect("a folder");
         let of = |name: &str, bytes: &[u8]| {
             let path = folder.path().join(name);
