@@ -71,12 +71,9 @@ impl<'a> Naming<'a> {
         Some(NamedColumns { names, position })
     }
 
-    /// The position among columns without names in the file, which are `written` in its place: if no new name says what
-    /// it is, the columns have these names.
-    fn position_of_unnamed(self, written: Vec<String>, usual: NamedColumns) -> Option<NamedColumns> {
-        if let Some(named) = self.position_among(written.clone()) {
-            return Some(named);
-        }
+    /// The position among columns without names in the file, which are `written` in its place: they have the usual names,
+    /// unless new names say what the position is.
+    fn usual_position(self, written: Vec<String>, usual: NamedColumns) -> Option<NamedColumns> {
         let is_usual = |new: &String| usual.names.iter().any(|name| columns::is_same_name(name, new));
         if self.renamed.iter().any(|(new, _)| is_usual(new)) {
             return None;
@@ -372,7 +369,7 @@ impl<'a> TableHead<'a> {
             ));
         }
         let usual = NamedColumns::unnamed(&["id"][..skipped], count);
-        match naming.position_of_unnamed(written.clone(), usual) {
+        match naming.usual_position(written.clone(), usual) {
             Some(header) => Ok(header.into_layout(delimiter, row.offset, row.number, notes)),
             None => Err(Error::invalid(FORMAT, Position::Line(row.number), naming.why_none_among(written))),
         }
@@ -506,9 +503,10 @@ fn numbered_columns(line: &[u8], delimiter: Delimiter, naming: Naming) -> Option
         return None;
     }
     let index = ["index".to_owned()];
-    let as_written =
-        index[..index_count].iter().cloned().chain((0..count - index_count).map(|number| number.to_string()));
-    naming.position_of_unnamed(as_written.collect(), NamedColumns::unnamed(&["index"][..index_count], count))
+    let numbers = (0..count - index_count).map(|number| number.to_string());
+    let written: Vec<String> = index[..index_count].iter().cloned().chain(numbers).collect();
+    let usual = NamedColumns::unnamed(&["index"][..index_count], count);
+    naming.position_among(written.clone()).or_else(|| naming.usual_position(written, usual))
 }
 
 /// Whether one of the first cells of a line has a number that is not an integer.
