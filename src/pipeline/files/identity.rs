@@ -85,6 +85,12 @@ pub fn canonical_path(path: &Path) -> PathBuf {
     }
 }
 
+/// The absolute path without links, also in the last component. What does not exist is taken by name; so is a path that
+/// the system does not resolve, as some do not if it is long.
+pub(crate) fn real_path(path: &Path) -> PathBuf {
+    resolved(&std::path::absolute(path).unwrap_or_else(|_| path.to_owned()))
+}
+
 /// Resolves the links of the folder, as far as it exists.
 fn resolved(folder: &Path) -> PathBuf {
     if let Ok(real) = dunce::canonicalize(folder) {

@@ -51,6 +51,7 @@ use super::record_line::{
     DaemonRecord, DoneRecord, OutputFile, RecordLine, SequenceKey, SharedSettings, UnfinishedRecord,
     UnfinishedState,
 };
+use crate::pipeline::files::identity::real_path;
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::stamp::{FileStamp, now_ms};
 use crate::pipeline::input::around::RecordedAround;
@@ -187,7 +188,7 @@ impl Frame {
     fn recorded_name(&self, records: &FrameRecords) -> PathBuf {
         let (folder, root) = (&self.outputs.folder, records.folder());
         let within = folder.strip_prefix(root).map(Path::to_owned).ok().or_else(|| {
-            let [folder, root] = [folder.canonicalize().ok()?, root.canonicalize().ok()?];
+            let [folder, root] = [folder, root].map(real_path);
             folder.strip_prefix(root).map(Path::to_owned).ok()
         });
         within.unwrap_or_default().join(&self.stem)

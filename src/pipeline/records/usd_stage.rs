@@ -25,6 +25,7 @@ use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use super::sequence_file::{SequenceError, increasing};
 use crate::pipeline::files::atomic_write::write_atomically;
 use crate::pipeline::files::frame_number::natural_order;
+use crate::pipeline::files::identity::real_path;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, UsdStageOptions, output_path};
 
@@ -430,7 +431,8 @@ impl AssetPaths {
 /// The folder of a file, without links.
 fn real_folder(file: &Path) -> Result<PathBuf, String> {
     let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    folder.canonicalize().map_err(|error| format!("{}: {error}", folder.display()))
+    folder.metadata().map_err(|error| format!("{}: {error}", folder.display()))?;
+    Ok(real_path(folder))
 }
 
 /// The path from one folder to another, with `/` after each name; absolute if the folders have only the root

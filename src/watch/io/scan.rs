@@ -15,7 +15,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use crate::pipeline::{FileId, FileStamp, file_of, is_link_loop};
+use crate::pipeline::{FileId, FileStamp, file_of, is_link_loop, real_path};
 
 use crate::watch::core::completeness::Seen;
 use crate::watch::core::events::Scan;
@@ -94,7 +94,7 @@ impl FolderScan<'_> {
         pending: &mut Vec<(PathBuf, usize)>,
     ) -> io::Result<()> {
         let id = FileId::of(folder);
-        if around.contains(&id) || self.edges.excludes(folder)? {
+        if around.contains(&id) || self.edges.excludes(folder) {
             return Ok(());
         }
         let entries = fs::read_dir(folder)?;
@@ -152,25 +152,25 @@ struct ScanLimits {
 
 impl ScanLimits {
     fn new(root: &Path, selection: &FileFilter) -> io::Result<ScanLimits> {
-        let root = root.canonicalize()?;
+        root.metadata()?;
         // A missing folder excludes nothing. A folder that contains the root excludes nothing either: see
         // `excludes`.
-        let excluded = selection.excluded().iter().filter_map(|folder| folder.canonicalize().ok());
-        Ok(ScanLimits { excluded: excluded.collect(), root })
+        let excluded = selection.excluded().iter().filter(|folder| folder.exists());
+        Ok(ScanLimits { excluded: excluded.map(|folder| real_path(folder)).collect(), root: real_path(root) })
     }
 
     /// Whether this folder is excluded: of the root and the excluded folders, the innermost that contains
     /// this folder decides.
-    fn excludes(&self, folder: &Path) -> io::Result<bool> {
+    fn excludes(&self, folder: &Path) -> bool {
         if self.excluded.is_empty() {
-            return Ok(false);
+            return false;
         }
-        let folder = folder.canonicalize()?;
+        let folder = real_path(folder);
         let in_root = folder.starts_with(&self.root);
         let excludes = |excluded: &PathBuf| {
             folder.starts_with(excluded) && !(in_root && self.root.starts_with(excluded))
         };
-        Ok(self.excluded.iter().any(excludes))
+        self.excluded.iter().any(excludes)
     }
 }
 
