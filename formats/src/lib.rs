@@ -109,26 +109,26 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
     read_particles_named(bytes, file_name, &[], limits)
 }
 
-/// Like [`read_particles`], with [new names](csv::read_named) for columns of a table.
+/// Like [`read_particles`], with [new names](csv::read_named) for columns of a table. For a file that is no table they
+/// have no effect, and a note says so: tables may be among other files.
 ///
 /// # Errors
-/// Those of [`read_particles`]; `Unsupported` if there are new names and the file is not a table.
+/// Those of [`read_particles`] and [`csv::read_named`].
 pub fn read_particles_named(
     bytes: &[u8],
     file_name: &str,
     columns: &[(String, String)],
     limits: &Limits,
 ) -> Result<ParticleFrame> {
-    let named_in = |format| {
-        let what = "this is not a table of text: --columns names the columns of such tables only";
-        Err(Error::unsupported(format, what))
+    let with_note = |mut frame: ParticleFrame| {
+        if !columns.is_empty() {
+            frame.notes.push("--columns is ignored: this is not a table of text".to_owned());
+        }
+        frame
     };
-    if let Some(format) = format_of_packed(bytes).filter(|_| !columns.is_empty()) {
-        return named_in(format.name());
-    }
     if let Some(frame) = packed::unpack(bytes, limits) {
         let format = format_of_packed(bytes).map_or("", Format::name);
-        return with_finite(format, frame?);
+        return with_finite(format, with_note(frame?));
     }
     let Probe { kind, codec } = probe(bytes, file_name);
     let is_vague = matches!(kind, ProbedKind::Empty | ProbedKind::Unknown | ProbedKind::UnknownText);
@@ -144,11 +144,7 @@ pub fn read_particles_named(
             vdb::check_first_grid(&head)?;
         }
     }
-    if !columns.is_empty() {
-        if !is_text_of_rows(kind) {
-            reader_of(kind, codec)?;
-            return named_in(kind.name());
-        }
+    if !columns.is_empty() && is_text_of_rows(kind) {
         let bytes = compression::decompressed(bytes, limits)?;
         return with_finite(kind.name(), csv::read_named(&bytes, columns, limits)?);
     }
@@ -158,7 +154,7 @@ pub fn read_particles_named(
         ReadParticles::Whole(read) => read(&bytes, limits)?,
         ReadParticles::Sample(container) => container.read_alone(kind.name(), &bytes, limits)?,
     };
-    with_finite(kind.name(), frame)
+    with_finite(kind.name(), with_note(frame))
 }
 
 /// Whether a file starts like a table that has all these columns, by its first bytes. See [`csv::read_named`].

@@ -7,7 +7,7 @@
 use std::io::{ErrorKind, Read};
 
 use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
+use crate::limits::{Limits, RATIO_FREE_BYTES};
 
 /// The first bytes of a file of xz.
 pub(crate) const XZ_MAGIC: [u8; 6] = *b"\xfd7zXZ\0";
@@ -131,7 +131,10 @@ impl Streamed {
     /// Fails if the first bytes are damaged; discards what they decompress to.
     pub(crate) fn check_start(self, bytes: &[u8]) -> Result<()> {
         let mut rest = bytes;
-        let outcome = self.decoder(&mut rest).read(&mut [0]);
+        // The checksum of a block of bzip2, which has up to 900 kB, comes after it.
+        let mut start = self.decoder(&mut rest).take(RATIO_FREE_BYTES);
+        let outcome = std::io::copy(&mut start, &mut std::io::sink());
+        drop(start);
         outcome.map(drop).map_err(|error| self.damage(&error, bytes.len() - rest.len()))
     }
 

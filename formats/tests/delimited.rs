@@ -236,13 +236,24 @@ fn columns_get_new_names() {
     let found = read_named("x,y,z,cx,cy,cz\n9,9,9,1,2,3\n8,8,8,4,5,6\n", "x=cx,y=cy,z=cz").unwrap();
     assert!(found.starts_with("F64 [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]"), "{found}");
     assert!(found.contains("column: 3 I32 [9, 9, 9, 8, 8, 8]"), "{found}");
+    // Some of them, where the others have the usual names.
+    let found = read_named("ID,X,Y,Z\n7,1,2,3\n8,4,5,6\n", "y=Z,z=Y").unwrap();
+    assert!(found.starts_with("F64 [[1.0, 3.0, 2.0], [4.0, 6.0, 5.0]]"), "{found}");
     // An unclear first column is no position if the position is named.
     let rows = "4 1 1 1\n2 1 1 2\n3 2 1 1\n1 2 2 2\n";
     let found = read_named(rows, "id=1,x=2,y=3,z=4").unwrap();
     assert!(found.contains("id: 1 (Id)"), "{found}");
     for (text, names, words) in [
         ("a,b,c\n1,2,3\n", "x=a,y=b,z=d", "there is no column `d`, which --columns names; found a, b, c"),
-        ("a,b,c\n1,2,3\n", "x=a", "--columns names no x, y and z"),
+        (
+            "a,b,c\n1,2,3\n",
+            "x=a",
+            "--columns names x, and no column is y and z: name x, y and z; found a, b, c",
+        ),
+        ("a,b,c\n1,2,3\n", "radius=a", "--columns names no x, y and z"),
+        ("a,b,c\n1,2,3\n", "x=a,y=2,z=b", "--columns names the column `b` twice, y and z"),
+        ("id,cx,cy,cz\n1,2,3,4\n", "z=id", "--columns names z, and no column is x and y"),
+        ("id,cx,cy,cz\n1,2,3,4\n", "y=cz,z=cy", "--columns names y and z, and no column is x"),
         ("1,2,3\n4,5,6\n", "radius=4", "there is no column `4`"),
     ] {
         let error = read_named(text, names).unwrap_err();
@@ -255,8 +266,8 @@ fn errors_propose_names_for_columns() {
     for (header, proposed) in [
         ("id,pxx,pxy,pxz,d", "--columns x=pxx,y=pxy,z=pxz"),
         ("id,xq,yq,zq,d", "--columns x=xq,y=yq,z=zq"),
-        ("a,b,c,d,e", "name the columns, as in --columns x=a,y=b,z=c"),
-        ("\"a, 1\",b 2,c,d,e", "--columns x=1,y=2,z=c"),
+        ("a,b,c,d,e", "found a, b, c, d, e: name the columns, as in --columns x=NAME,y=NAME,z=NAME"),
+        ("id,\"q, x\",\"q, y\",\"q, z\",e", "--columns x=2,y=3,z=4"),
     ] {
         let text = format!("{header}\n1,2,3,4,5\n");
         let error = csv::read(text.as_bytes(), &Limits::default()).unwrap_err().to_string();

@@ -114,7 +114,9 @@ class Particles:
         return f"<Particles: {len(self.positions)}, attributes: {names}>"
 
 
-def read(path: str | os.PathLike[str], *, columns: str | None = None) -> Particles:
+def read(
+    path: str | os.PathLike[str], *, columns: str | Mapping[str, str | int] | None = None
+) -> Particles:
     """Read particles from a file of any format that meniscus reads: PLY, BGEO, VTK and lists of its files, HDF5,
     USD, Alembic, OpenVDB, PRT, JSON, NumPy, LAMMPS, XYZ, delimited text and more.
 
@@ -124,9 +126,9 @@ def read(path: str | os.PathLike[str], *, columns: str | None = None) -> Particl
     ----------
     path : path-like
         The file. A step of a file with several steps has a path such as ``"dump.lammpstrj/step=1000"``.
-    columns : str, optional
+    columns : str or mapping, optional
         New names for columns of a table, each with a column by its name or its number from 1 on, such as
-        ``"x=centroid_x,y=centroid_y,z=centroid_z"``.
+        ``"x=centroid_x,y=centroid_y,z=3"`` or ``{"x": "centroid_x", "y": "centroid_y", "z": 3}``.
 
     Returns
     -------
@@ -142,6 +144,8 @@ def read(path: str | os.PathLike[str], *, columns: str | None = None) -> Particl
     ValueError
         If ``columns`` does not name columns.
     """
+    if isinstance(columns, Mapping):
+        columns = ",".join(f"{name}={column}" for name, column in columns.items())
     positions, attributes, notes, file_hash = _native.read(path, columns)
     arrays: dict[str, NDArray[Any]] = {}
     roles, texts = {}, {}

@@ -137,6 +137,8 @@ def test_columns_of_a_table_get_names(tmp_path):
     with pytest.raises(pm.FormatError, match="name the columns, as in"):
         pm.read(path)
     particles = pm.read(path, columns="x=alpha,y=3,z=gamma,id=n")
+    same = pm.read(path, columns={"x": "alpha", "y": 3, "z": "gamma", "id": "n"})
+    assert (same.positions == particles.positions).all()
     assert particles.positions.tolist() == [[1, 2, 3], [4, 5, 6]]
     assert particles["id"].tolist() == [7, 8]
     with pytest.raises(ValueError, match="columns: `x` does not name columns"):

@@ -6,13 +6,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 use glob::{MatchOptions, Pattern};
-use meniscus_formats::{Error, Neighbor};
+use meniscus_formats::compression::read_head;
+use meniscus_formats::{Error, Neighbor, check_supported};
 use walkdir::{DirEntry, WalkDir};
 
 use crate::pipeline::{
     self, FrameFile, NumberPattern, OutFolderError, Sequence, SniffedContent, canonical_path,
     check_out_folder, content, content_with, entry_key, file_of, files_in, files_joined_by, frames_in,
-    is_absent, is_level_set, is_mesh, is_named_list, is_number, is_sequence_file, may_be_file,
+    is_absent, is_level_set, is_mesh, is_named_list, is_number, is_sequence_file, may_be_file, open_regular,
     promises_particles, shown, single_frame_sequences, single_frames_note, size_bytes, step_of,
 };
 use crate::surface::options::{ColumnNames, MethodOptions};
@@ -60,11 +61,16 @@ pub(super) fn select_frames(
         let name =
             Path::new(first.file_name().filter(|_| is_one_folder).unwrap_or(first.as_os_str())).display();
         let [one, several] = what.map_or(["not a particle file", "not particle files"], Neighbor::words);
+        let hint = match (what, count) {
+            (Some(Neighbor::Table), 1) => "; if it is a frame, name its columns with --columns",
+            (Some(Neighbor::Table), _) => "; if they are frames, name their columns with --columns",
+            _ => "",
+        };
         match count {
-            1 => console.print_line(format_args!("skipped {name}: {one}")),
+            1 => console.print_line(format_args!("skipped {name}: {one}{hint}")),
             _ => {
                 let others = pluralize(count - 1, "other file");
-                console.print_line(format_args!("skipped {name} and {others}: {several}"));
+                console.print_line(format_args!("skipped {name} and {others}: {several}{hint}"));
             }
         }
     }
@@ -386,6 +392,17 @@ fn search(inputs: &[PathBuf], columns: Option<&ColumnNames>, may_be_empty: bool)
     Ok(found)
 }
 
+/// Why a file cannot be read as particles, after its name, if its first bytes show that it is of another kind.
+fn why_unsupported(path: &Path) -> Option<String> {
+    let name = path.file_name()?.to_string_lossy();
+    let head = read_head(open_regular(path).ok()?, HEAD_BYTES).ok()?;
+    let error = check_supported(&head, &name).err()?;
+    Some(format!("{name}: {error}"))
+}
+
+/// More bytes than any format needs to be recognized.
+const HEAD_BYTES: u64 = 1 << 16;
+
 /// Expands a file with several steps into its steps. A file whose steps cannot be listed is returned as it
 /// is: reading it reports the error.
 ///
@@ -484,6 +501,9 @@ impl MatchedInputs {
             }
             if hints.is_empty() && files.is_empty() {
                 bail!("{}: the folder is empty", folder.display());
+            }
+            if hints.is_empty() {
+                hints.extend(files.iter().find_map(|path| why_unsupported(path)));
             }
             let hint: String = hints.iter().map(|hint| format!("; {hint}")).collect();
             bail!(

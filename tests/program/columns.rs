@@ -68,15 +68,34 @@ fn errors_propose_the_option_and_say_what_is_missing() {
     assert_refused(
         folder,
         &convert,
-        &["--columns x=n,y=alpha,z=beta", "line 1", "n, alpha, beta, gamma, delta"],
+        &["--columns x=NAME,y=NAME,z=NAME", "line 1", "n, alpha, beta, gamma, delta"],
     );
     let more = |more: &'static str| [&convert[..], &["--columns", more]].concat();
     assert_refused(folder, &more("x=alpha,y=beta,z=omega"), &["no column `omega`", "found n, alpha, beta"]);
     assert_refused(folder, &more("x=2,y=3,z=6"), &["no column `6`"]);
-    assert_refused(folder, &more("x=alpha"), &["expected a header with position columns"]);
+    assert_refused(folder, &more("x=alpha"), &["--columns names x, and no column is y and z"]);
+    assert_refused(folder, &more("x=alpha,x=beta,y=n"), &["has the name `x` twice"]);
+    let described = meniscus(folder, &["info", "odd/dam.1.csv", "--columns", "x=alpha,y=beta,z=gamma"]);
+    assert!(
+        described.status == 0 && described.out.contains("particles"),
+        "{}{}",
+        described.out,
+        described.err
+    );
     assert_refused(folder, &more("x=alpha,y"), &["x=centroid_x"]);
+    // Other files may be beside tables.
     let ply = ["convert", "block.ply", "--out", "out", "--columns", "x=1,y=2,z=3"];
-    assert_refused(folder, &ply, &["block.ply", "this is not a table"]);
+    let ply = meniscus(folder, &ply);
+    assert!(ply.status == 0 && ply.err.contains("--columns is ignored"), "{}{}", ply.out, ply.err);
+    // A folder of files that are recognised, and not read: the message names one.
+    fs::create_dir(folder.join("molecules")).expect("made");
+    fs::write(folder.join("molecules/a.0001.xtc"), [0, 0, 7, 203, 0, 0, 0, 9, 0, 0, 0, 1]).expect("written");
+    fs::write(
+        folder.join("molecules/b.pdb"),
+        "HEADER    WATER\nATOM      1  OW  SOL     1       0.1   0.2   0.3\n",
+    )
+    .expect("written");
+    assert_refused(folder, &["convert", "molecules", "--out", "out"], &["no frames of particles", "b.pdb: "]);
 }
 
 #[test]

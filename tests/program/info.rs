@@ -122,7 +122,7 @@ fn each_step_is_described() {
     let result = meniscus(folder.path(), &["info", "--json", "d.dump"]);
     assert_eq!(result.status, 1);
     assert!(
-        result.err.contains("error: d.dump/step=100: LAMMPS dump, at line 6: expected 2 atoms"),
+        result.err.contains("error: d.dump/step=100: LAMMPS dump, at line 12: expected 2 atoms"),
         "{}",
         result.err
     );

@@ -46,12 +46,23 @@ impl<'a> Naming<'a> {
         Naming::new(limits, &[])
     }
 
-    /// These names with the new ones, or the first column that is not there. A column that has one of the new names
-    /// already is named by its number.
-    fn applied(self, mut names: Vec<String>) -> std::result::Result<Vec<String>, &'a str> {
-        let found: std::result::Result<Vec<usize>, &str> =
-            self.renamed.iter().map(|(_, column)| index_of(&names, column).ok_or(&**column)).collect();
-        let found = found?;
+    /// These names with the new ones, or why they cannot have them. A column that has one of the new names already is
+    /// named by its number.
+    fn applied(self, mut names: Vec<String>) -> std::result::Result<Vec<String>, String> {
+        let mut found: Vec<usize> = Vec::new();
+        for (new, column) in self.renamed {
+            let Some(index) = index_of(&names, column) else {
+                return Err(format!("there is no column `{column}`, which --columns names"));
+            };
+            if let Some(other) = found.iter().position(|other| *other == index) {
+                let (other, _) = &self.renamed[other];
+                return Err(format!(
+                    "--columns names the column `{}` twice, {other} and {new}",
+                    names[index]
+                ));
+            }
+            found.push(index);
+        }
         for (index, name) in names.iter_mut().enumerate() {
             let is_new = |(new, _): &(String, String)| columns::is_same_name(new, name);
             if !found.contains(&index) && self.renamed.iter().any(is_new) {
@@ -60,6 +71,14 @@ impl<'a> Naming<'a> {
         }
         for (index, (new, _)) in found.into_iter().zip(self.renamed) {
             names[index].clone_from(new);
+        }
+        // Otherwise other columns might be the position, such as cx, cy and cz.
+        let has = |axis: &&str| names.iter().any(|name| columns::is_same_name(name, axis));
+        let is_named = |axis: &&str| self.renamed.iter().any(|(new, _)| columns::is_same_name(new, axis));
+        let (known, unknown): (Vec<&str>, Vec<&str>) = AXES.iter().partition(|axis| has(axis));
+        if AXES.iter().any(is_named) && !unknown.is_empty() {
+            let [known, unknown] = [known, unknown].map(|axes| axes.join(" and "));
+            return Err(format!("--columns names {known}, and no column is {unknown}: name x, y and z"));
         }
         Ok(names)
     }
@@ -89,22 +108,28 @@ impl<'a> Naming<'a> {
     /// Why these columns have no position, and what to do.
     fn why_none_among(self, names: Vec<String>) -> String {
         let found = excerpts(names.iter());
-        if let Err(column) = self.applied(names.clone()) {
-            return format!("there is no column `{column}`, which --columns names; found {found}");
+        if let Err(why) = self.applied(names.clone()) {
+            return format!("{why}; found {found}");
         }
         let expected = "expected a header with position columns, such as x,y,z";
-        match coordinates(&names) {
-            Some(columns) if self.renamed.is_empty() => {
-                format!("{expected}; found {found}: name the columns, as in --columns {columns}")
-            }
-            _ if self.renamed.is_empty() => format!("{expected}; found {found}"),
-            _ => format!("{expected}; found {found}, and --columns names no x, y and z"),
+        if !self.renamed.is_empty() {
+            return format!("{expected}; found {found}, and --columns names no x, y and z");
         }
+        let has_usual = |axis: &&str| names.iter().any(|name| columns::is_same_name(name, axis));
+        let columns = match coordinates(&names) {
+            Some(columns) => columns,
+            // A table of two coordinates, for example.
+            None if AXES.iter().any(has_usual) => return format!("{expected}; found {found}"),
+            None => "x=NAME,y=NAME,z=NAME".to_owned(),
+        };
+        format!("{expected}; found {found}: name the columns, as in --columns {columns}")
     }
 }
 
-/// The columns that are coordinates by their last or first letters, or else the first three, as a value of --columns;
-/// `None` if only some coordinates have their usual names.
+/// The names of the coordinates.
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// The columns that are coordinates by their last or first letters, as a value of --columns; `None` without any.
 fn coordinates(names: &[String]) -> Option<String> {
     let rest_of = |name: &str, axis: char| {
         let name = columns::unquoted(name).to_ascii_lowercase();
@@ -117,15 +142,12 @@ fn coordinates(names: &[String]) -> Option<String> {
         let rest = rest_of(name, 'x')?;
         Some([x, with('y', &rest)?, with('z', &rest)?])
     });
-    let has_usual =
-        ["x", "y", "z"].iter().any(|axis| names.iter().any(|name| columns::is_same_name(name, axis)));
-    let first = (names.len() >= 3 && !has_usual).then_some([0, 1, 2]);
     let column = |index: usize| {
         let name = columns::unquoted(&names[index]);
         let is_plain = !name.is_empty() && !name.contains([',', '=', ' ', '\'', '"']);
         if is_plain { name.to_owned() } else { (index + 1).to_string() }
     };
-    let [x, y, z] = by_letters.or(first)?.map(column);
+    let [x, y, z] = by_letters?.map(column);
     Some(format!("x={x},y={y},z={z}"))
 }
 

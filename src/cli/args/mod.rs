@@ -180,6 +180,10 @@ pub(super) struct InfoArgs {
     #[arg(required = true, value_name = "FILE")]
     pub(super) files: Vec<PathBuf>,
 
+    /// New names for columns of tables, as for `convert`, such as x=centroid_x,y=centroid_y,z=centroid_z
+    #[arg(long, value_name = "LIST")]
+    pub(super) columns: Option<ColumnNames>,
+
     /// Write JSON: a list with an object for each file
     #[arg(long)]
     pub(super) json: bool,
@@ -398,7 +402,7 @@ pub(super) struct WatchArgs {
 
     /// Read folders and settings from this file; options given here override it
     ///
-    /// examples/meniscus.toml in the sources has every key, explained.
+    /// examples/meniscus.toml has every key, explained.
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
 

@@ -23,10 +23,11 @@ use serde::Serialize;
 
 use crate::pipeline::{
     FrameError, USD_STAGE_FRAMES, file_of, frames_in, frames_in_unless, has_container_frames, is_absent,
-    measure_spacing, open_regular, read_file, read_regular, read_scene_mesh, step_of, time_of_frame,
+    measure_spacing, open_regular, read_file, read_particles_of, read_regular, read_scene_mesh, step_of,
+    time_of_frame,
 };
 
-use crate::surface::options::SpacingOptions;
+use crate::surface::options::{ColumnNames, ReadOptions, SpacingOptions};
 
 use super::args::InfoArgs;
 use super::console::{Console, json_text};
@@ -90,7 +91,7 @@ pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<CommandOutc
     for given in &args.files {
         // Steps are read one at a time, because a file may have a million of them.
         for path in files_of(given, console) {
-            let info = file_info(&path);
+            let info = file_info(&path, args.columns.as_ref());
             if args.json {
                 array.add(&info, console)?;
             }
@@ -154,17 +155,17 @@ fn indented(json: &str) -> String {
     json.lines().map(|line| format!("  {line}")).collect::<Vec<_>>().join("\n")
 }
 
-fn file_info(path: &Path) -> FileInfo {
+fn file_info(path: &Path, columns: Option<&ColumnNames>) -> FileInfo {
     let mut info = FileInfo { file: path.to_string_lossy().into_owned(), ..FileInfo::default() };
     // A panic in a reader affects this file only.
-    let result = catch_unwind(AssertUnwindSafe(|| info.fill(path)))
+    let result = catch_unwind(AssertUnwindSafe(|| info.fill(path, columns)))
         .unwrap_or_else(|_| Err(anyhow!("internal error; please report it, with the file")));
     info.error = result.err().map(|error| with_causes(&error));
     info
 }
 
 impl FileInfo {
-    fn fill(&mut self, path: &Path) -> Result<()> {
+    fn fill(&mut self, path: &Path, columns: Option<&ColumnNames>) -> Result<()> {
         check_file(path)?;
         let bytes = if step_of(path).is_some() {
             read_file(path).map_err(|error| reason(&error))?
@@ -184,11 +185,11 @@ impl FileInfo {
             }
         };
         self.time = time_of_frame(path);
-        self.fill_content(path, &bytes)
+        self.fill_content(path, &bytes, columns)
     }
 
     /// Describes the content of a file.
-    fn fill_content(&mut self, path: &Path, bytes: &[u8]) -> Result<()> {
+    fn fill_content(&mut self, path: &Path, bytes: &[u8], columns: Option<&ColumnNames>) -> Result<()> {
         let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
         // The particles of a frame of a container.
         let packed = format_of_packed(bytes);
@@ -213,15 +214,16 @@ impl FileInfo {
         };
         if !is_surface {
             // This includes other compressed files. Compressed level sets are refused here.
-            self.fill_particles(path, bytes, &name, &limits)?;
+            self.fill_particles(path, bytes, columns)?;
         }
         Ok(())
     }
 
-    fn fill_particles(&mut self, path: &Path, bytes: &[u8], name: &str, limits: &Limits) -> Result<()> {
-        let frame = read_particles(bytes, name, limits)?;
+    fn fill_particles(&mut self, path: &Path, bytes: &[u8], columns: Option<&ColumnNames>) -> Result<()> {
+        let frame = read_particles_of(path, bytes, columns).map_err(|error| reason(&error))?;
         self.notes.clone_from(&frame.notes);
-        let measured = measure_spacing([path], &SpacingOptions::default()).ok();
+        let reading = ReadOptions { columns: columns.cloned(), filter: None };
+        let measured = measure_spacing([path], &SpacingOptions { reading, ..SpacingOptions::default() }).ok();
         self.particles = Some(ParticlesInfo::of(frame, measured.as_ref()));
         Ok(())
     }

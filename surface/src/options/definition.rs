@@ -106,8 +106,8 @@ method_options! {
         }
         Particles {
             /// New names for columns of tables, each with a column by its name or its number from 1 on, such as
-            /// x=centroid_x,y=centroid_y,z=centroid_z; the names x, y, z, vx, vy, vz, radius and id say what the
-            /// columns mean
+            /// x=centroid_x,y=centroid_y,z=centroid_z; the names x, y, z, vx, vy, vz, radius, diameter and id say what
+            /// the columns mean
             #[value(named("LIST"))]
             columns: ColumnNames,
 

@@ -130,10 +130,15 @@ impl FromStr for ColumnNames {
                      number from 1 on, such as x=centroid_x,y=centroid_y,z=3"
                 ));
             }
-            if let Some((twice, _)) = pairs.iter().find(|(other, one)| other == new || one == column) {
-                return Err(format!(
-                    "`{text}` has `{twice}`, or its column, twice: expected one column for each name"
-                ));
+            let twice = pairs.iter().find_map(|(other, one)| {
+                if other == new {
+                    Some(format!("the name `{new}`"))
+                } else {
+                    (one == column).then(|| format!("the column `{column}`"))
+                }
+            });
+            if let Some(twice) = twice {
+                return Err(format!("`{text}` has {twice} twice: expected one column for each name"));
             }
             pairs.push((new.to_owned(), column.to_owned()));
         }
