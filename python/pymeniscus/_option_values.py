@@ -32,7 +32,7 @@ class OptionValues(TypedDict, total=False):
     offset : float | str
         Move the finished surface outward by this distance, -r_min to 2h; negative moves it inward [default: 0]
     columns : str
-        New names for columns of tables, each with a column by its name or its number from 1 on, such as x=centroid_x,y=centroid_y,z=centroid_z; the names x, y, z, vx, vy, vz, radius and id say what the columns mean
+        New names for columns of tables, each with a column by its name or its number from 1 on, such as x=centroid_x,y=centroid_y,z=centroid_z; the names x, y, z, vx, vy, vz, radius, diameter and id say what the columns mean
     where : str | Sequence[bool] | NDArray[np.bool_]
         Use only the particles whose attributes meet this condition, such as 'phase == 0' or 'type in 1,2 and not (density < 500)'; comparisons are ==, !=, <, <=, >, >=, in and not in
     radius_attribute : str
