@@ -251,6 +251,7 @@ fn columns_get_new_names() {
             "--columns names x, and no column is y and z: name x, y and z; found a, b, c",
         ),
         ("a,b,c\n1,2,3\n", "radius=a", "--columns names no x, y and z"),
+        ("a,b,c\n1,2,3\n", "x=a,y=a,z=b", "--columns names the column `a` twice, x and y"),
         ("a,b,c\n1,2,3\n", "x=a,y=2,z=b", "--columns names the column `b` twice, y and z"),
         ("id,cx,cy,cz\n1,2,3,4\n", "z=id", "--columns names z, and no column is x and y"),
         ("id,cx,cy,cz\n1,2,3,4\n", "y=cz,z=cy", "--columns names y and z, and no column is x"),

@@ -6,15 +6,15 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 use glob::{MatchOptions, Pattern};
-use meniscus_formats::compression::read_head;
-use meniscus_formats::{Error, Neighbor, check_supported};
+use meniscus_formats::{Error, Neighbor};
 use walkdir::{DirEntry, WalkDir};
 
 use crate::pipeline::{
     self, FrameFile, NumberPattern, OutFolderError, Sequence, SniffedContent, canonical_path,
     check_out_folder, content, content_with, entry_key, file_of, files_in, files_joined_by, frames_in,
-    is_absent, is_level_set, is_mesh, is_named_list, is_number, is_sequence_file, may_be_file, open_regular,
-    promises_particles, shown, single_frame_sequences, single_frames_note, size_bytes, step_of,
+    is_absent, is_level_set, is_mesh, is_named_list, is_number, is_sequence_file, may_be_file,
+    promises_particles, refuse_foreign, shown, single_frame_sequences, single_frames_note, size_bytes,
+    step_of,
 };
 use crate::surface::options::{ColumnNames, MethodOptions};
 
@@ -394,14 +394,13 @@ fn search(inputs: &[PathBuf], columns: Option<&ColumnNames>, may_be_empty: bool)
 
 /// Why a file cannot be read as particles, after its name, if its first bytes show that it is of another kind.
 fn why_unsupported(path: &Path) -> Option<String> {
-    let name = path.file_name()?.to_string_lossy();
-    let head = read_head(open_regular(path).ok()?, HEAD_BYTES).ok()?;
-    let error = check_supported(&head, &name).err()?;
-    Some(format!("{name}: {error}"))
+    match refuse_foreign(path) {
+        Err(error @ Error::Unsupported { .. }) => {
+            Some(format!("{}: {error}", path.file_name()?.to_string_lossy()))
+        }
+        _ => None,
+    }
 }
-
-/// More bytes than any format needs to be recognized.
-const HEAD_BYTES: u64 = 1 << 16;
 
 /// Expands a file with several steps into its steps. A file whose steps cannot be listed is returned as it
 /// is: reading it reports the error.

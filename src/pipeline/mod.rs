@@ -99,7 +99,7 @@ pub use input::measured_spacing::{MeasuredSpacing, NoSpacing, measure_spacing, m
 pub use input::mesh_file::{MeshFile, is_mesh, read_scene_mesh};
 pub use input::obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use input::reading::{
-    ParsedParticles, hash_of_input, parse_particles, particles, read_file, read_particles_of,
+    ParsedParticles, hash_of_input, parse_particles, particles, read_file, read_particles_of, refuse_foreign,
 };
 pub(crate) use input::source::output_stem;
 pub use input::source::{

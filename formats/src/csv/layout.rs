@@ -73,10 +73,8 @@ impl<'a> Naming<'a> {
             names[index].clone_from(new);
         }
         // Otherwise other columns might be the position, such as cx, cy and cz.
-        let has = |axis: &&str| names.iter().any(|name| columns::is_same_name(name, axis));
-        let is_named = |axis: &&str| self.renamed.iter().any(|(new, _)| columns::is_same_name(new, axis));
-        let (known, unknown): (Vec<&str>, Vec<&str>) = AXES.iter().partition(|axis| has(axis));
-        if AXES.iter().any(is_named) && !unknown.is_empty() {
+        let (known, unknown): (Vec<&str>, Vec<&str>) = AXES.iter().partition(|axis| has_name(&names, axis));
+        if self.renamed.iter().any(|(new, _)| has_name(&AXES, new)) && !unknown.is_empty() {
             let [known, unknown] = [known, unknown].map(|axes| axes.join(" and "));
             return Err(format!("--columns names {known}, and no column is {unknown}: name x, y and z"));
         }
@@ -115,15 +113,21 @@ impl<'a> Naming<'a> {
         if !self.renamed.is_empty() {
             return format!("{expected}; found {found}, and --columns names no x, y and z");
         }
-        let has_usual = |axis: &&str| names.iter().any(|name| columns::is_same_name(name, axis));
         let columns = match coordinates(&names) {
             Some(columns) => columns,
             // A table of two coordinates, for example.
-            None if AXES.iter().any(has_usual) => return format!("{expected}; found {found}"),
+            None if AXES.iter().any(|axis| has_name(&names, axis)) => {
+                return format!("{expected}; found {found}");
+            }
             None => "x=NAME,y=NAME,z=NAME".to_owned(),
         };
         format!("{expected}; found {found}: name the columns, as in --columns {columns}")
     }
+}
+
+/// Whether one of the names is this one, regardless of case, quotes and unit.
+fn has_name(names: &[impl AsRef<str>], wanted: &str) -> bool {
+    names.iter().any(|name| columns::is_same_name(name.as_ref(), wanted))
 }
 
 /// The names of the coordinates.
@@ -232,44 +236,53 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
 }
 
 /// Whether a text starts like a table of something else than particles: its header names no position; or it also names
-/// a time and no id, and each of the first rows has a later time than the one before, as those of a probe. `head` ends
-/// with a whole line, or the file.
-pub(crate) fn is_other_table(head: &[u8]) -> bool {
+/// a time and no id, and each of the first rows has a later time than the one before, as those of a probe. Without a
+/// header, it is one if its first column increases like a time, unless the name of the file excludes a log of times.
+/// `head` ends with a whole line, or the file.
+pub(crate) fn is_other_table(head: &[u8], may_be_log: bool) -> bool {
     let (text, limits) = (super::decoded(head), Limits::default());
+    let naming = Naming::unchanged(&limits);
     let mut lines = HeadLines::new(&text, &limits);
+    let mut names_position = false;
     let mut next = || loop {
-        match lines.next_line() {
-            Ok(Some(line)) if comment(line.text).is_some() => {}
-            Ok(line) => return line.map(|line| line.text),
-            Err(_) => return None,
-        }
+        let line = lines.next_line().ok().flatten()?.text;
+        let Some(comment) = comment(line) else { return Some(line) };
+        names_position |= !headers_in_comment(comment, naming).is_empty();
     };
-    let (Some(names), Some(row)) = (next(), next()) else { return false };
+    let (Some(first), Some(second)) = (next(), next()) else { return false };
+    let rows: Vec<&[u8]> = [first, second].into_iter().chain(std::iter::from_fn(next)).collect();
+    if let Some((delimiter, _)) = row_shape(first) {
+        return may_be_log && !names_position && increases(&rows, 0, delimiter);
+    }
     let is_row = |row: &[u8], delimiter, count| {
         let is_number =
             |cell| matches!(parse_cell(&unquoted(cell)), CellValue::Number(_) | CellValue::Missing);
         has_cells(row, delimiter, count) && cells(row, delimiter).take(count).all(is_number)
     };
     let fits = |&delimiter: &Delimiter| {
-        let count = cells(names, delimiter).count();
-        count > 1 && is_header_like(names, delimiter, count) && is_row(row, delimiter, count)
+        let count = cells(first, delimiter).count();
+        count > 1 && is_header_like(first, delimiter, count) && is_row(second, delimiter, count)
     };
     let Some(delimiter) = DELIMITERS.into_iter().find(fits) else { return false };
-    if headers(names, Naming::unchanged(&limits)).next().is_none() {
+    if headers(first, naming).next().is_none() {
         return true;
     }
-    let name = |cell| String::from_utf8_lossy(&unquoted(cell)).into_owned();
-    let Some(time) = cells(names, delimiter).map(name).position(|name| super::is_time(&name)) else {
-        return false;
-    };
-    let time_of = |row| match cells(row, delimiter).nth(time).map(|cell| parse_cell(&unquoted(cell))) {
-        Some(CellValue::Number(time)) => Some(time),
+    let names: Vec<String> =
+        cells(first, delimiter).map(|cell| String::from_utf8_lossy(&unquoted(cell)).into_owned()).collect();
+    let has_id = names.iter().any(|name| columns::role_of(name, 1) == Some(AttributeRole::Id));
+    let time = names.iter().position(|name| super::is_time(name));
+    !has_id && time.is_some_and(|time| increases(&rows[1..], time, delimiter))
+}
+
+/// Whether there are several rows, and each has a larger number in this column than the one before.
+fn increases(rows: &[&[u8]], column: usize, delimiter: Delimiter) -> bool {
+    let number = |row: &&[u8]| match cells(row, delimiter).nth(column).map(|cell| parse_cell(&unquoted(cell)))
+    {
+        Some(CellValue::Number(number)) => Some(number),
         _ => None,
     };
-    let has_id =
-        cells(names, delimiter).map(name).any(|name| columns::role_of(&name, 1) == Some(AttributeRole::Id));
-    let times: Vec<f64> = [row].into_iter().chain(std::iter::from_fn(next)).filter_map(time_of).collect();
-    !has_id && times.len() > 1 && times.windows(2).all(|pair| pair[0] < pair[1])
+    let numbers: Vec<f64> = rows.iter().filter_map(number).collect();
+    numbers.len() > 1 && numbers.windows(2).all(|pair| pair[0] < pair[1])
 }
 
 /// Whether a line names a position, and so can be a header.

@@ -79,27 +79,29 @@ pub fn canonical_path(path: &Path) -> PathBuf {
     // This fails for an empty path, or without a current folder.
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     match (path.parent(), path.file_name()) {
-        (Some(folder), Some(name)) => resolved(folder).join(name),
+        (Some(folder), Some(name)) => resolved(folder, |path| dunce::canonicalize(path)).join(name),
         // The path ends in `..`, which only the system can resolve.
-        _ => resolved(&path),
+        _ => resolved(&path, |path| dunce::canonicalize(path)),
     }
 }
 
-/// The absolute path without links, also in the last component. What does not exist is taken by name; so is a path that
-/// the system does not resolve, as some do not if it is long.
+/// The absolute path without links, also in the last component, to compare with others. What does not exist is taken by
+/// name; so is a path that the system does not resolve, as Wine does not if it is long. On Windows all have the same
+/// prefix, whatever their length.
 pub(crate) fn real_path(path: &Path) -> PathBuf {
-    resolved(&std::path::absolute(path).unwrap_or_else(|_| path.to_owned()))
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    resolved(&path, Path::canonicalize)
 }
 
 /// Resolves the links of the folder, as far as it exists.
-fn resolved(folder: &Path) -> PathBuf {
-    if let Ok(real) = dunce::canonicalize(folder) {
+fn resolved(folder: &Path, canonicalize: fn(&Path) -> io::Result<PathBuf>) -> PathBuf {
+    if let Ok(real) = canonicalize(folder) {
         return real;
     }
     match (folder.parent(), folder.file_name()) {
-        (Some(outer), Some(name)) => resolved(outer).join(name),
+        (Some(outer), Some(name)) => resolved(outer, canonicalize).join(name),
         // In a missing folder, `..` is resolved by name.
-        (Some(outer), None) => resolved(outer).parent().unwrap_or(outer).to_owned(),
+        (Some(outer), None) => resolved(outer, canonicalize).parent().unwrap_or(outer).to_owned(),
         (None, _) => folder.to_owned(),
     }
 }

@@ -71,7 +71,15 @@ fn refuse_large_foreign(path: &Path) -> meniscus_formats::Result<()> {
     if !metadata.is_file() || metadata.len() < LARGE_BYTES {
         return Ok(());
     }
-    let head = read_head(open_regular(path)?, LARGE_HEAD_BYTES)?;
+    refuse_foreign(path)
+}
+
+/// Refuses a file of an unknown format, by its first bytes.
+///
+/// # Errors
+/// Why the file cannot be read as particles.
+pub fn refuse_foreign(path: &Path) -> meniscus_formats::Result<()> {
+    let head = read_head(open_regular(path)?, HEAD_BYTES)?;
     check_supported(&head, &path.file_name().unwrap_or_default().to_string_lossy())
 }
 
@@ -79,7 +87,7 @@ fn refuse_large_foreign(path: &Path) -> meniscus_formats::Result<()> {
 const LARGE_BYTES: u64 = 1 << 20;
 
 /// More bytes than any format needs to be recognized.
-const LARGE_HEAD_BYTES: u64 = 1 << 16;
+const HEAD_BYTES: u64 = 1 << 16;
 
 /// Parses particles from the bytes of the frame at `path`, with all attributes, and with new names for columns.
 ///
