@@ -197,6 +197,8 @@ mod tests {
             (b"0.0 1000 0.01\n0.1 1000 0.01\n".to_vec(), "energy.dat", table),
             (b"0.0 1000 0.01\n0.1 1000 0.01\n".to_vec(), "a.0001.dat", None),
             (b"# x y z\n0.1 0.2 0.3\n0.1 0.2 0.4\n".to_vec(), "a.dat", None),
+            // Ids increase, too.
+            (b"1 0.1 0.2 0.3\n2 0.1 0.2 0.4\n".to_vec(), "a.dat", None),
             (b"# x y z\n0.1 0.2 0.3\n0.2 0.2 0.4\n".to_vec(), "a.dat", None),
             (Vec::new(), "a.vtk", None),
         ] {

@@ -237,7 +237,7 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
 
 /// Whether a text starts like a table of something else than particles: its header names no position; or it also names
 /// a time and no id, and each of the first rows has a later time than the one before, as those of a probe. Without a
-/// header, it is one if its first column increases like a time, unless the name of the file excludes a log of times.
+/// header, it is one if its first column increases like a time and is not whole as ids are, unless the name of the file excludes a log of times.
 /// `head` ends with a whole line, or the file.
 pub(crate) fn is_other_table(head: &[u8], may_be_log: bool) -> bool {
     let (text, limits) = (super::decoded(head), Limits::default());
@@ -252,7 +252,10 @@ pub(crate) fn is_other_table(head: &[u8], may_be_log: bool) -> bool {
     let (Some(first), Some(second)) = (next(), next()) else { return false };
     let rows: Vec<&[u8]> = [first, second].into_iter().chain(std::iter::from_fn(next)).collect();
     if let Some((delimiter, _)) = row_shape(first) {
-        return may_be_log && !names_position && increases(&rows, 0, delimiter);
+        let times = numbers_in(&rows, 0, delimiter);
+        // Ids increase, too, but are whole.
+        let has_fraction = times.iter().any(|time| time.fract() != 0.0);
+        return may_be_log && !names_position && has_fraction && increase(&times);
     }
     let is_row = |row: &[u8], delimiter, count| {
         let is_number =
@@ -271,17 +274,21 @@ pub(crate) fn is_other_table(head: &[u8], may_be_log: bool) -> bool {
         cells(first, delimiter).map(|cell| String::from_utf8_lossy(&unquoted(cell)).into_owned()).collect();
     let has_id = names.iter().any(|name| columns::role_of(name, 1) == Some(AttributeRole::Id));
     let time = names.iter().position(|name| super::is_time(name));
-    !has_id && time.is_some_and(|time| increases(&rows[1..], time, delimiter))
+    !has_id && time.is_some_and(|time| increase(&numbers_in(&rows[1..], time, delimiter)))
 }
 
-/// Whether there are several rows, and each has a larger number in this column than the one before.
-fn increases(rows: &[&[u8]], column: usize, delimiter: Delimiter) -> bool {
+/// The numbers in a column.
+fn numbers_in(rows: &[&[u8]], column: usize, delimiter: Delimiter) -> Vec<f64> {
     let number = |row: &&[u8]| match cells(row, delimiter).nth(column).map(|cell| parse_cell(&unquoted(cell)))
     {
         Some(CellValue::Number(number)) => Some(number),
         _ => None,
     };
-    let numbers: Vec<f64> = rows.iter().filter_map(number).collect();
+    rows.iter().filter_map(number).collect()
+}
+
+/// Whether there are several numbers, and each is larger than the one before.
+fn increase(numbers: &[f64]) -> bool {
     numbers.len() > 1 && numbers.windows(2).all(|pair| pair[0] < pair[1])
 }
 
