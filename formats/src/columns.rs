@@ -167,6 +167,11 @@ pub fn unit_of(name: &str) -> Option<&str> {
     split_unit(unquoted(name)).1
 }
 
+/// A name without surrounding quotes and unit.
+pub(crate) fn without_unit(name: &str) -> &str {
+    split_unit(unquoted(name)).0
+}
+
 /// Whether two names differ at most in case, quotes, units and a prefix of CloudCompare.
 pub(crate) fn is_same_name(one: &str, other: &str) -> bool {
     matched_part(one).eq_ignore_ascii_case(matched_part(other))
@@ -221,7 +226,12 @@ fn matched_part(name: &str) -> &str {
 fn split_unit(name: &str) -> (&str, Option<&str>) {
     for (open, close) in [('[', ']'), ('(', ')')] {
         let Some(inside) = name.strip_suffix(close) else { continue };
-        let Some((front, unit)) = inside.rsplit_once(open) else { continue };
+        let mut depth = 1;
+        let opening = inside.char_indices().rev().find(|(_, char)| {
+            depth += i32::from(*char == close) - i32::from(*char == open);
+            depth == 0
+        });
+        let Some((front, unit)) = opening.map(|(at, _)| (&inside[..at], &inside[at + 1..])) else { continue };
         let is_index = !unit.is_empty() && unit.bytes().all(|byte| byte.is_ascii_digit());
         if !is_index && !front.trim().is_empty() {
             return (front.trim_end(), Some(unit.trim()));

@@ -163,8 +163,11 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
         } else if name.ends_with(".usdz") || [&b".usdc"[..], b".usda", b".usd"].iter().any(is_layer) {
             ProbedKind::Format(Format::Usdz)
         } else {
-            ProbedKind::Foreign("ZIP archive")
+            ProbedKind::Foreign(ZIP)
         };
+    }
+    if head.get(TAR_OFFSET..).is_some_and(|rest| rest.starts_with(b"ustar")) {
+        return ProbedKind::Foreign(TAR);
     }
     let text = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head).trim_ascii_start();
     // This check comes before the check for text, because VTK appends raw bytes to its XML.
@@ -455,6 +458,8 @@ const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
     (b"T\0\0\0CORD", DCD),
     (b"\0\0\0TCORD", DCD),
     (b"PAR1", "Parquet"),
+    (b"7z\xbc\xaf\x27\x1c", SEVEN_ZIP),
+    (b"Rar!\x1a\x07", RAR),
     (b"\x80\x04\x95", PICKLE),
     (b"\x80\x05\x95", PICKLE),
     (b"version https://git-lfs.github.com/spec/", GIT_LFS),
@@ -481,6 +486,10 @@ pub(crate) const REMEDIES: &[(&str, &str)] = &[
         LAMMPS_DATA,
         "this is a `write_data` file, and only dumps are supported: write one with `write_dump all custom FILE id type x y z`",
     ),
+    (ZIP, ARCHIVE),
+    (TAR, ARCHIVE),
+    (SEVEN_ZIP, ARCHIVE),
+    (RAR, ARCHIVE),
     (GIT_LFS, "this is only the reference to a file in Git LFS: get the file itself with `git lfs pull`"),
     (E57, SCAN),
     (LAS, SCAN),
@@ -523,6 +532,7 @@ pub(crate) const REMEDIES: &[(&str, &str)] = &[
     ),
 ];
 
+const ARCHIVE: &str = "archives are not supported: unpack it, and give the files in it or their folder";
 const SCAN: &str =
     "point clouds in this format are not supported: save them as PLY, for example with CloudCompare";
 const MOLECULES: &str =
@@ -532,6 +542,12 @@ const PARTIO: &str =
 
 /// The output of LAMMPS's `write_data` command.
 const LAMMPS_DATA: &str = "LAMMPS data";
+const ZIP: &str = "ZIP archive";
+const TAR: &str = "tar archive";
+/// The offset of the signature of a tar archive.
+const TAR_OFFSET: usize = 257;
+const SEVEN_ZIP: &str = "7z archive";
+const RAR: &str = "RAR archive";
 const GIT_LFS: &str = "Git LFS pointer";
 const BI4: &str = "DualSPHysics .bi4";
 const PRT2: &str = "Krakatoa PRT 2";
@@ -705,7 +721,10 @@ mod tests {
             (b"\x89HDF\r\n\x1a\n\0", "a", ProbedKind::Format(Format::Hdf5)),
             (abc::HDF5, "a.abc", ProbedKind::Format(Format::Abc)),
             (b"PK\x03\x04", "a.npz", ProbedKind::Format(Format::Npz)),
-            (b"PK\x03\x04", "a.zip", ProbedKind::Foreign("ZIP archive")),
+            (b"PK\x03\x04", "a.zip", ProbedKind::Foreign(ZIP)),
+            (&[&[0; TAR_OFFSET][..], b"ustar\0"].concat(), "a.tar", ProbedKind::Foreign(TAR)),
+            (b"7z\xbc\xaf\x27\x1c\0\x04", "a.7z", ProbedKind::Foreign(SEVEN_ZIP)),
+            (b"Rar!\x1a\x07\x01\0", "a.rar", ProbedKind::Foreign(RAR)),
             (
                 b"PK\x03\x04\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\x05\0\0\0a.npy",
                 "a",

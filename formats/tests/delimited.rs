@@ -5,7 +5,9 @@
 
 #![expect(clippy::cast_possible_truncation, reason = "the tests check narrowing")]
 
-use meniscus_formats::{Error, FileAttribute, FilePositions, Limits, ParticleFrame, Values, csv};
+use meniscus_formats::{
+    Error, FileAttribute, FilePositions, Limits, ParticleFrame, Values, csv, looks_like_particles,
+};
 use std::fmt::{Debug, Write};
 use std::path::{Path, PathBuf};
 
@@ -273,5 +275,14 @@ fn errors_propose_names_for_columns() {
         let text = format!("{header}\n1,2,3,4,5\n");
         let error = csv::read(text.as_bytes(), &Limits::default()).unwrap_err().to_string();
         assert!(error.contains(proposed), "{error}");
+    }
+}
+
+#[test]
+fn tables_with_a_row_of_units_are_particles() {
+    for (text, expected) in
+        [("x,y,z\nm,m,m\n1,2,3\n", true), ("time,p,q\ns,m,m\n1,2,3\n", false), ("x,y,z\nok,ok,ok\n", false)]
+    {
+        assert_eq!(looks_like_particles(text.as_bytes(), "a.csv"), expected, "{text}");
     }
 }

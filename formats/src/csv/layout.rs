@@ -10,7 +10,7 @@ use super::rows::{
 use crate::columns::{self, Columns};
 use crate::data::AttributeRole;
 use crate::first_column::FirstColumn;
-use crate::text::excerpts;
+use crate::text::{excerpts, listed};
 use crate::{Error, Limits, Position, Result};
 
 /// The layout of the rows.
@@ -115,9 +115,8 @@ impl<'a> Naming<'a> {
         }
         let columns = match coordinates(&names) {
             Some(columns) => columns,
-            // A table of two coordinates, for example.
             None if AXES.iter().any(|axis| has_name(&names, axis)) => {
-                return format!("{expected}; found {found}");
+                return format!("{expected}; found {found}: {}", add_missing_axes(&names));
             }
             None => "x=NAME,y=NAME,z=NAME".to_owned(),
         };
@@ -132,6 +131,30 @@ fn has_name(names: &[impl AsRef<str>], wanted: &str) -> bool {
 
 /// The names of the coordinates.
 const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// The names in a header of two columns that are coordinates.
+fn two_coordinates(line: &[u8]) -> Option<Vec<String>> {
+    DELIMITERS.into_iter().find_map(|delimiter| {
+        let names: Vec<String> = cells(line, delimiter)
+            .map(|cell| String::from_utf8_lossy(&unquoted(cell)).into_owned())
+            .collect();
+        let is_axis = |name: &String| has_name(&AXES, name);
+        (names.len() == 2 && names.iter().all(is_axis)).then_some(names)
+    })
+}
+
+/// What to do about columns that name some of the coordinates only.
+fn add_missing_axes(names: &[String]) -> String {
+    let missing = AXES.into_iter().filter(|axis| !has_name(names, axis)).map(str::to_owned).collect();
+    let add =
+        format!("no column is {}: add it, with zeros if all particles lie in a plane", listed(missing, "or"));
+    if names.len() < AXES.len() {
+        return add;
+    }
+    let column = |axis: &&str| format!("{axis}={}", if has_name(names, axis) { axis } else { "NAME" });
+    let columns: Vec<String> = AXES.iter().map(column).collect();
+    format!("{add}, or name the columns, as in --columns {}", columns.join(","))
+}
 
 /// The columns that are coordinates by their last or first letters, as a value of --columns; `None` without any.
 fn coordinates(names: &[String]) -> Option<String> {
@@ -187,9 +210,12 @@ pub(super) fn layout(bytes: &[u8], naming: Naming) -> Result<TableLayout> {
             };
         }
         for delimiter in DELIMITERS {
-            let Some(header) = header(line.text, delimiter, naming)? else { continue };
+            let Some(mut header) = header(line.text, delimiter, naming)? else { continue };
             let is_confirmed = next.is_none_or(|next| has_cells(next, delimiter, header.names.len()));
             if is_confirmed {
+                if next.is_some_and(|next| header.take_units(next, delimiter)) {
+                    lines.next_row()?;
+                }
                 return Ok(header.into_layout(delimiter, lines.at, lines.number + 1, head.notes()));
             }
             let layout = || header.into_layout(delimiter, lines.at, lines.number + 1, Vec::new());
@@ -224,8 +250,10 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
             return !text_last.is_some_and(|text| is_header_like(text, delimiter, count));
         }
         let Ok(next) = lines.peek_row() else { return false };
-        let is_above = |(delimiter, header): (Delimiter, NamedColumns)| {
-            next.is_none_or(|next| header.names_positions_of(next, delimiter))
+        let is_above = |(delimiter, mut header): (Delimiter, NamedColumns)| {
+            next.is_none_or(|next| {
+                header.names_positions_of(next, delimiter) || header.take_units(next, delimiter)
+            })
         };
         if headers(line.text, naming).any(is_above) {
             return true;
@@ -430,7 +458,10 @@ impl<'a> TableHead<'a> {
             "expected a header with position columns, such as x,y,z, or rows of at least three numbers";
         Err(match self.text_first {
             Some(text) => {
-                let what = format!("{expected}, found {}", quoted_excerpt(text.text));
+                let mut what = format!("{expected}, found {}", quoted_excerpt(text.text));
+                if let Some(names) = two_coordinates(text.text) {
+                    what += &format!(": {}", add_missing_axes(&names));
+                }
                 let position = Position::Line(text.number);
                 if bytes.ends_with(b"\n") || bytes.ends_with(b"\r") {
                     Error::invalid(FORMAT, position, what)
@@ -482,6 +513,24 @@ impl NamedColumns {
         has_cells(row, delimiter, self.names.len()) && self.position.iter().all(is_coordinate)
     }
 
+    /// Adds the units in the row below the header to the names, as in `x [mm]`; returns false if the row has none: that
+    /// of the coordinates is a known one.
+    fn take_units(&mut self, row: &[u8], delimiter: Delimiter) -> bool {
+        let units: Vec<String> = cells(row, delimiter).map(unit).collect();
+        let is_length =
+            |&column: &usize| units.get(column).is_some_and(|unit| LENGTHS.contains(&&*unit.to_lowercase()));
+        if !has_cells(row, delimiter, self.names.len()) || !self.position.iter().all(is_length) {
+            return false;
+        }
+        for (name, unit) in self.names.iter_mut().zip(&units) {
+            let is_unit = parse_cell(unit.as_bytes()) == CellValue::Text;
+            if is_unit && columns::unit_of(name).is_none() {
+                *name = format!("{} [{unit}]", columns::unquoted(name));
+            }
+        }
+        true
+    }
+
     fn into_layout(
         self,
         delimiter: Delimiter,
@@ -492,6 +541,19 @@ impl NamedColumns {
         TableLayout { delimiter, names: self.names, position: self.position, rows_offset, rows_line, notes }
     }
 }
+
+/// A cell of a row of units, without quotes and brackets.
+fn unit(cell: &[u8]) -> String {
+    let text = String::from_utf8_lossy(&unquoted(cell)).trim().to_owned();
+    let inside = |open, close| text.strip_prefix(open)?.strip_suffix(close);
+    inside('[', ']').or_else(|| inside('(', ')')).unwrap_or(&text).trim().to_owned()
+}
+
+/// Units of length below the name of a column, in lower case.
+const LENGTHS: [&str; 18] = [
+    "m", "mm", "cm", "dm", "km", "um", "\u{b5}m", "\u{3bc}m", "nm", "in", "inch", "ft", "meter", "meters",
+    "metre", "metres", "\u{e5}", "angstrom",
+];
 
 /// Parses the line as a header, if it names a position with this delimiter.
 fn header(line: &[u8], delimiter: Delimiter, naming: Naming) -> Result<Option<NamedColumns>> {
@@ -720,14 +782,18 @@ impl<'a> HeadLines<'a> {
         Ok(None)
     }
 
-    /// The next line that is neither blank nor a comment, without advancing.
-    fn peek_row(&self) -> Result<Option<&'a [u8]>> {
-        let mut ahead = HeadLines { ..*self };
-        while let Some(line) = ahead.next_line()? {
+    /// The next line that is neither blank nor a comment.
+    fn next_row(&mut self) -> Result<Option<&'a [u8]>> {
+        while let Some(line) = self.next_line()? {
             if comment(line.text).is_none() {
                 return Ok(Some(line.text));
             }
         }
         Ok(None)
+    }
+
+    /// The line that [`Self::next_row`] would return, without advancing.
+    fn peek_row(&self) -> Result<Option<&'a [u8]>> {
+        HeadLines { ..*self }.next_row()
     }
 }

@@ -4,6 +4,7 @@
 //!   Simulation of a dam break, t = 0.5 s       free text       skipped with a note
 //!   # made by hand                             a comment       #, % or //
 //!   x, y, z, "Vel.x [m/s]", ..., type          the header      the first line that names a position
+//!   m, m, m, m/s, ..., -                       units           can follow; added to the names
 //!   0.1, 0.2, 0.3, 1.5e-3, ..., water          a row           as many cells as the header
 //!   0.1, nan, 0.3, 0, ..., water               no position     skipped with a note
 //! ```
@@ -285,7 +286,7 @@ fn check_times(layout: &TableLayout, table: &Table) -> Result<()> {
 
 /// Whether a column has the time of a frame, by its name.
 fn is_time(name: &str) -> bool {
-    TIMES.contains(&&*without_unit(name).to_ascii_lowercase())
+    TIMES.contains(&&*columns::without_unit(name).to_ascii_lowercase())
 }
 
 /// Names of a column with the time of a frame, in lower case.
@@ -316,14 +317,14 @@ fn frame(layout: TableLayout, mut table: Table) -> Result<ParticleFrame> {
     let mut attributes = Vec::with_capacity(groups.len());
     for group in groups {
         if group.scale != 1.0 && !table.columns[group.columns[0]].is_text() {
-            let name = without_unit(&group.name);
+            let name = columns::without_unit(&group.name);
             notes.push(format!("`{name}` looks like a diameter: the radius is half of it"));
         }
         if table.columns[group.columns[0]].is_text() {
             take_texts(&group, &layout.names, &mut table.columns, &mut attributes);
         } else {
             let values = numbers(&group, &mut table.columns, table.row_count);
-            let name = without_unit(&group.name);
+            let name = columns::without_unit(&group.name).to_owned();
             attributes.push(FileAttribute { name, arity: group.arity(), role: group.role, values });
         }
     }
@@ -348,7 +349,12 @@ fn take_texts(group: &Group, names: &[String], columns: &mut [Column], attribute
             let values = Values::Strings { table: texts.table, indices: texts.indices };
             // Strings can identify a phase, but they cannot be a velocity or another quantity.
             let role = group.role.filter(|&role| role == AttributeRole::Kind);
-            attributes.push(FileAttribute { name: without_unit(&names[index]), arity: 1, role, values });
+            attributes.push(FileAttribute {
+                name: columns::without_unit(&names[index]).to_owned(),
+                arity: 1,
+                role,
+                values,
+            });
         }
     }
 }
@@ -390,18 +396,6 @@ fn take_integers(column: &mut Column) -> Vec<i64> {
     match &mut column.values {
         ColumnValues::Integers(integers) => std::mem::take(integers),
         _ => Vec::new(),
-    }
-}
-
-/// The name of an attribute: that of the column, without quotes and unit.
-fn without_unit(name: &str) -> String {
-    let name = columns::unquoted(name);
-    match columns::unit_of(name) {
-        Some(_) => {
-            let end = name.rfind(['[', '(']).unwrap_or(name.len());
-            name[..end].trim_end().into()
-        }
-        None => name.into(),
     }
 }
 
