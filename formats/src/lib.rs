@@ -33,6 +33,7 @@ mod lzf;
 mod matrix;
 pub mod mesh;
 mod named_arrays;
+mod narrow_points;
 mod neighbor;
 pub mod npy;
 mod number;
@@ -43,6 +44,7 @@ mod packed;
 pub mod pcd;
 pub mod ply;
 pub mod png;
+mod point_formats;
 pub mod probe;
 pub mod provenance;
 pub mod prt;
@@ -82,6 +84,7 @@ pub use neighbor::{Neighbor, neighbor};
 pub use number::NumberType;
 pub use options::{MeshOptions, UpAxis, WriteOption};
 pub use packed::format_of_packed;
+pub use point_formats::PointFormat;
 pub use probe::{Probe, ProbedKind, looks_like_particles, probe};
 pub use row::{
     BatchEncoder, Completeness, Content, MeshEncoder, MeshWriter, ParticleWriter, PictureWriter, StreamWriter,

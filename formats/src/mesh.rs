@@ -56,7 +56,7 @@ pub fn looks_like_mesh(head: &[u8], file_name: &str) -> bool {
     match kind {
         ProbedKind::Format(Format::Ply) => ply::holds_mesh(&head, &Limits::default()).unwrap_or(false),
         ProbedKind::Format(Format::Vtp) => vtk::holds_polys(&head),
-        ProbedKind::Format(Format::Abc) => abc::is_own(&head),
+        ProbedKind::Format(Format::Abc) => abc::is_own_mesh(&head),
         ProbedKind::Format(Format::Usda | Format::Usdc) => declares_mesh(&head),
         ProbedKind::Format(Format::Obj) => obj_points::has_faces(&head),
         kind => kind.format().is_some_and(|format| format.has_mesh() && !format.has_particles()),

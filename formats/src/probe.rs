@@ -118,7 +118,7 @@ pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
         ProbedKind::Format(Format::Json) => json::looks_like_particles,
         ProbedKind::Format(Format::Obj) => |head| !obj_points::has_faces(head),
         // The content of other archives is known only from their end.
-        ProbedKind::Format(Format::Abc) => |head| !abc::is_own(head),
+        ProbedKind::Format(Format::Abc) => |head| !abc::is_own_mesh(head),
         ProbedKind::Format(Format::Usda | Format::Usdc) => |head| !declares_mesh(head) && !has_clips(head),
         kind => return kind.format().is_some_and(Format::has_particles),
     };

@@ -24,6 +24,19 @@ const PREFIX: &str = "meniscus_";
 /// The maximum size of the head of a file with provenance: this program never writes a longer one.
 pub(crate) const HEAD_BYTES_MAX: u64 = 1 << 20;
 
+/// The entry that says that a file has points and no surface, and its values: particles that were only converted, and
+/// points beside a surface.
+pub const CONTENTS: &str = "contents";
+/// See [`CONTENTS`].
+pub const PARTICLES: &str = "particles";
+/// See [`CONTENTS`].
+pub const SPRAY: &str = "spray";
+
+/// Whether a file with this provenance has points and no surface.
+pub(crate) fn are_points(recorded: &Provenance) -> bool {
+    recorded.iter().any(|(name, value)| name == CONTENTS && [PARTICLES, SPRAY].contains(&&**value))
+}
+
 /// A key with the prefix, as stored next to the entries of other programs.
 pub(crate) fn prefixed(key: &str) -> String {
     format!("{PREFIX}{key}")

@@ -1,4 +1,4 @@
-//! Particles of all formats, written as .ply and .vtp and read back.
+//! Particles of all formats, written in the formats of points and read back.
 
 use crate::fixtures;
 
@@ -6,8 +6,9 @@ use std::io::{Cursor, Write};
 use std::path::Path;
 
 use meniscus_formats::{
-    AttributeRole, FileAttribute, FilePositions, Limits, OutputFormat, ParticleFrame, Provenance, Result,
-    Values, is_complete, ply, read_particles, read_provenance, vtk,
+    AttributeRole, FileAttribute, FilePositions, Limits, MeshOptions, OutputFormat, ParticleFrame,
+    PointFormat, Provenance, Result, UpAxis, Values, is_complete, looks_like_mesh, looks_like_particles, ply,
+    read_particles, read_provenance, vtk,
 };
 
 type Writer = fn(&ParticleFrame, &Provenance, &mut dyn Write) -> Result<()>;
@@ -183,5 +184,136 @@ fn unusual_attributes_round_trip_or_get_a_note() {
     for (_, _, write) in WRITERS {
         let error = write(&short, &[], &mut Vec::new()).unwrap_err().to_string();
         assert!(error.contains("attribute v has 5 values for 2 particles with 3 values each"), "{error}");
+    }
+}
+
+/// A frame with the attributes that formats treat specially, and others.
+fn splash() -> ParticleFrame {
+    let attributes = vec![
+        attribute("id", 1, Some(AttributeRole::Id), Values::I64(vec![7, 1 << 40, 3])),
+        attribute(
+            "velocity",
+            3,
+            Some(AttributeRole::Velocity),
+            Values::F32((0..9u8).map(f32::from).collect()),
+        ),
+        attribute("radius", 1, Some(AttributeRole::Radius), Values::F32(vec![0.5, 0.25, 1.0])),
+        attribute("Cd", 3, Some(AttributeRole::Color), Values::F32(vec![0.25; 9])),
+        attribute("age", 1, None, Values::I32(vec![0, -3, 2])),
+        attribute(
+            "kind",
+            1,
+            None,
+            Values::Strings { table: vec!["drop".into(), "sheet".into()], indices: vec![1, 0, 1] },
+        ),
+        attribute("uv", 2, None, Values::F64(vec![0.5, 0.25, 1.0, 0.0, 0.125, 2.0])),
+    ];
+    let positions = FilePositions::F64(vec![[1000.5, 2.0, -3.0], [1001.0, 2.5, -4.0], [1000.0, 3.0, -3.5]]);
+    ParticleFrame { positions, attributes, notes: Vec::new() }
+}
+
+/// The values of an attribute as floats; indices for strings.
+fn floats(frame: &ParticleFrame, name: &str) -> Vec<f64> {
+    let attribute = frame.attributes.iter().find(|attribute| attribute.name == name);
+    match &attribute.unwrap_or_else(|| panic!("{name} of {:?}", frame.attributes)).values {
+        Values::F32(values) => values.iter().map(|&value| value.into()).collect(),
+        Values::F64(values) => values.clone(),
+        Values::U8(values) => values.iter().map(|&value| value.into()).collect(),
+        Values::I32(values) => values.iter().map(|&value| value.into()).collect(),
+        Values::I64(values) => values.iter().map(|&value| value as f64).collect(),
+        Values::Strings { indices, .. } => indices.iter().map(|&index| index.into()).collect(),
+    }
+}
+
+#[test]
+fn points_beside_a_surface_are_read_back_from_all_formats() {
+    let provenance =
+        [("generator".to_owned(), "meniscus x".to_owned()), ("contents".to_owned(), "spray".to_owned())];
+    let original = splash();
+    for format in PointFormat::ALL {
+        let name = format!("a.spray.{}", format.extension());
+        for count in [3, 0] {
+            let mut frame = original.clone();
+            frame.retain(&[count > 0; 3]);
+            if format == PointFormat::Bgeo {
+                // Its integers have 32 bits.
+                frame.attributes[0].values = Values::I64((0..count).collect());
+            }
+            let mut bytes = Vec::new();
+            format.write(&frame, &MeshOptions::default(), &provenance, &mut bytes).unwrap();
+            assert!(!looks_like_mesh(&bytes, &name), "{name}");
+            let is_seen = format != PointFormat::Abc || looks_like_particles(&bytes, &name);
+            assert!(is_seen, "{name}");
+            let found = read(&bytes, &name);
+            assert_eq!(found.positions.len() as i64, count, "{name}");
+            if count == 0 {
+                continue;
+            }
+            let FilePositions::F64(expected) = &frame.positions else { panic!("64 bits") };
+            let positions: Vec<[f64; 3]> = match &found.positions {
+                FilePositions::F32(positions) => {
+                    positions.iter().map(|position| position.map(f64::from)).collect()
+                }
+                FilePositions::F64(positions) => positions.clone(),
+            };
+            assert_eq!(positions, *expected, "{name}");
+            let [id, velocity, radius, color] = match format {
+                PointFormat::Usda | PointFormat::Usdc => ["ids", "velocities", "widths", "displayColor"],
+                PointFormat::Abc => ["id", "velocity", "width", "Cd"],
+                PointFormat::Ply => ["id", "velocity", "radius", "Cd"],
+                _ => ["id", "velocity", "radius", "Cd"],
+            };
+            for (written, name) in [
+                ("id", id),
+                ("velocity", velocity),
+                ("radius", radius),
+                ("Cd", color),
+                ("age", "age"),
+                ("uv", "uv"),
+            ] {
+                assert_eq!(floats(&found, name), floats(&frame, written), "{name} of {format:?}");
+            }
+            assert_eq!(floats(&found, "kind"), floats(&frame, "kind"), "{format:?}");
+            let roles: Vec<_> = found.attributes.iter().filter_map(|attribute| attribute.role).collect();
+            for role in
+                [AttributeRole::Id, AttributeRole::Velocity, AttributeRole::Radius, AttributeRole::Color]
+            {
+                assert!(roles.contains(&role), "{role:?} of {format:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn points_follow_the_up_axis_and_the_unit() {
+    let options = MeshOptions { up: UpAxis::Z, meters_per_unit: 0.01, ..MeshOptions::default() };
+    let written = |format: PointFormat, frame: &ParticleFrame| {
+        let mut bytes = Vec::new();
+        format.write(frame, &options, &[], &mut bytes).map(|()| bytes)
+    };
+    let frame = splash();
+    let notes = read(&written(PointFormat::Usda, &frame).unwrap(), "a.usda").notes;
+    assert!(notes.iter().any(|note| note.contains("metersPerUnit 0.01, upAxis Z")), "{notes:?}");
+    // Alembic has Y up.
+    let FilePositions::F64(positions) = read(&written(PointFormat::Abc, &frame).unwrap(), "a.abc").positions
+    else {
+        panic!("a transform")
+    };
+    assert_eq!(positions[0], [1000.5, -3.0, -2.0]);
+    let nowhere = ParticleFrame {
+        positions: FilePositions::F32(vec![[f32::NAN, 0.0, 0.0]]),
+        ..ParticleFrame::default()
+    };
+    for format in [PointFormat::Usda, PointFormat::Usdc, PointFormat::Abc] {
+        let error = written(format, &nowhere).unwrap_err().to_string();
+        assert!(error.contains("not finite"), "{error}");
+        let odd = ParticleFrame {
+            positions: FilePositions::F32(vec![[0.0; 3]]),
+            attributes: vec![attribute("heat", 1, None, Values::F32(vec![f32::INFINITY]))],
+            notes: Vec::new(),
+        };
+        assert_eq!(floats(&read(&written(format, &odd).unwrap(), "a"), "heat"), [0.0]);
+        let expected = format!("1 values of heat are not finite: the .{} has 0", format.extension());
+        assert_eq!(format.notes(&odd), [expected]);
     }
 }

@@ -1,4 +1,4 @@
-//! The objects of an archive, in the schemas of AbcGeom: a mesh under a transform.
+//! The objects of an archive, in the schemas of AbcGeom: a mesh, or points, under a transform.
 //!
 //! ```text
 //!   /surface                Xform      .inherits .ops .vals: a matrix, if positions are not in world space
@@ -22,6 +22,10 @@ use crate::options::UpAxis;
 /// for the same object in each.
 pub(super) const TRANSFORM: &str = "surface";
 pub(super) const MESH: &str = "surfaceShape";
+
+/// The names of the objects of points beside a mesh.
+const POINTS: &str = "spray";
+const POINTS_SHAPE: &str = "sprayShape";
 
 /// The transform of positions into a world with Y up. The positions are relative to `origin`; both use axes
 /// in which `up` points up.
@@ -100,6 +104,7 @@ impl ParamType {
             Pod::I32 => "int32_t",
             Pod::I64 => "int64_t",
             Pod::U32 => "uint32_t",
+            Pod::U64 => "uint64_t",
             Pod::U8 => "uint8_t",
             Pod::Bool => "bool_t",
             Pod::String => "string",
@@ -184,17 +189,67 @@ impl MeshSamples {
             properties: vec![AbcProperty::compound(names::GEOMETRY, schema, geometry)],
             children: Vec::new(),
         };
-        let schema = "schema=AbcGeom_Xform_v3";
-        Ok(AbcObject {
-            name: TRANSFORM.to_owned(),
-            metadata: format!("{schema};schemaObjTitle=AbcGeom_Xform_v3:.xform"),
-            properties: vec![AbcProperty::compound(
-                names::TRANSFORM,
-                schema,
-                transform_properties(&self.matrix, ogawa)?,
-            )],
-            children: vec![mesh],
-        })
+        transformed(TRANSFORM, &self.matrix, mesh, ogawa)
+    }
+}
+
+/// An object with its transform above it, which has this name.
+fn transformed(name: &str, matrix: &Matrix, object: AbcObject, ogawa: &mut Ogawa) -> Result<AbcObject> {
+    let schema = "schema=AbcGeom_Xform_v3";
+    let properties = transform_properties(matrix, ogawa)?;
+    Ok(AbcObject {
+        name: name.to_owned(),
+        metadata: format!("{schema};schemaObjTitle=AbcGeom_Xform_v3:.xform"),
+        properties: vec![AbcProperty::compound(names::TRANSFORM, schema, properties)],
+        children: vec![object],
+    })
+}
+
+/// The samples of points at one time.
+pub(super) struct PointSamples {
+    pub(super) bounds: StoredSample,
+    pub(super) positions: StoredSample,
+    pub(super) ids: StoredSample,
+    pub(super) velocities: Option<StoredSample>,
+    pub(super) widths: Option<StoredSample>,
+}
+
+impl PointSamples {
+    /// The points under a transform. `params` are the attributes without a property of their own in the schema.
+    pub(super) fn object(
+        self,
+        matrix: &Matrix,
+        params: Vec<AbcProperty>,
+        ogawa: &mut Ogawa,
+    ) -> Result<AbcObject> {
+        let real = (Pod::F32, 3);
+        let mut geometry = vec![
+            AbcProperty::scalar(".selfBnds", "interpretation=box", (Pod::F64, 6), vec![self.bounds]),
+            AbcProperty::array(
+                names::POSITIONS,
+                "geoScope=var;interpretation=point",
+                real,
+                vec![self.positions],
+            ),
+            AbcProperty::array(names::IDS, "geoScope=var", (Pod::U64, 1), vec![self.ids]),
+        ];
+        let vector = "interpretation=vector";
+        let velocities =
+            self.velocities.map(|sample| AbcProperty::array(names::VELOCITIES, vector, real, vec![sample]));
+        let widths =
+            self.widths.map(|sample| ParamType::many(Pod::F32, 1).property(names::WIDTHS, vec![sample]));
+        geometry.extend(velocities.into_iter().chain(widths));
+        if !params.is_empty() {
+            geometry.push(AbcProperty::compound(names::PARAMS, "", params));
+        }
+        let schema = "schema=AbcGeom_Points_v1;schemaBaseType=AbcGeom_GeomBase_v1";
+        let points = AbcObject {
+            name: POINTS_SHAPE.to_owned(),
+            metadata: format!("{schema};schemaObjTitle=AbcGeom_Points_v1:.geom"),
+            properties: vec![AbcProperty::compound(names::GEOMETRY, schema, geometry)],
+            children: Vec::new(),
+        };
+        transformed(POINTS, matrix, points, ogawa)
     }
 }
 

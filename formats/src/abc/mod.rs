@@ -27,7 +27,7 @@ pub use read::{read_mesh, read_sample, read_sequence_info, read_times};
 
 use crate::columns::role_of;
 use crate::data::{
-    AttributeRole, FileAttribute, MeshView, Provenance, Values, VertexAttribute, VertexValues,
+    AttributeRole, FileAttribute, MeshView, ParticleFrame, Provenance, Values, VertexAttribute, VertexValues,
 };
 use crate::error::{Error, Position, Result};
 use crate::gltf::{
@@ -36,8 +36,10 @@ use crate::gltf::{
 };
 use crate::limits::Limits;
 use crate::matrix::Matrix;
+use crate::narrow_points::{NarrowPoints, not_finite_notes};
 use crate::number::write_pieces;
 use crate::options::{MeshOptions, UpAxis, WriteOption};
+use crate::provenance::are_points;
 use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleReader};
 use crate::sequence::{check_numbers, held_times};
 use crate::vertex_attributes::{
@@ -45,7 +47,7 @@ use crate::vertex_attributes::{
 };
 use document::{AbcObject, AbcProperty, MAGIC, Ogawa, Pod, StoredSample, Times, write_archive};
 use mesh::{
-    FrameSamples, MeshSamples, ParamType, bounds, bounds_sample, names, real_sample, to_world,
+    FrameSamples, MeshSamples, ParamType, PointSamples, bounds, bounds_sample, names, real_sample, to_world,
     triangle_samples,
 };
 use read::{SampledMesh, bytes_declared, check_single_frame, own_head, own_mesh, read_provenance};
@@ -146,11 +148,24 @@ fn object(mesh: &MeshView, options: &MeshOptions, names: &[String], ogawa: &mut 
         normals: real_sample(mesh.normals.as_flattened(), (vertices, 3), ogawa)?,
         velocities: None,
     };
-    let mut params = Vec::new();
-    for ((attribute, purpose), name) in mesh.attributes.iter().zip(purposes(mesh.attributes)).zip(names) {
+    let params;
+    (frame.velocities, params) = attribute_samples(mesh.attributes, names, ogawa)?;
+    let mut samples = MeshSamples::at(to_world(options.up, mesh.origin));
+    samples.push(frame);
+    samples.object(params, ogawa)
+}
+
+/// The velocities, and the other attributes under these names.
+fn attribute_samples(
+    attributes: &[VertexAttribute],
+    names: &[String],
+    ogawa: &mut Ogawa,
+) -> Result<(Option<StoredSample>, Vec<AbcProperty>)> {
+    let (mut velocities, mut params) = (None, Vec::new());
+    for ((attribute, purpose), name) in attributes.iter().zip(purposes(attributes)).zip(names) {
         match (purpose, attribute.values) {
             (Purpose::Velocity, VertexValues::Numbers(values)) => {
-                frame.velocities = Some(real_sample(values, (vertices, 3), ogawa)?);
+                velocities = Some(real_sample(values, (values.len() as u64 / 3, 3), ogawa)?);
             }
             (Purpose::Color(values), _) => {
                 params.push(reals(name, ParamType::color(attribute.arity), values, ogawa)?);
@@ -166,9 +181,49 @@ fn object(mesh: &MeshView, options: &MeshOptions, names: &[String], ogawa: &mut 
             }
         }
     }
-    let mut samples = MeshSamples::at(to_world(options.up, mesh.origin));
-    samples.push(frame);
-    samples.object(params, ogawa)
+    Ok((velocities, params))
+}
+
+// Writes points. Ids, velocities and widths have properties of their own in the schema, which requires ids: without
+// any, points are numbered.
+
+/// Writes particles as an archive with one sample.
+///
+/// # Errors
+///
+/// [`Error::Io`] if `out` fails; [`Error::Invalid`] if an attribute has the wrong number of values, or a position is not
+/// finite.
+pub fn write_particles(
+    frame: &ParticleFrame,
+    options: &MeshOptions,
+    provenance: &Provenance,
+    out: &mut dyn Write,
+) -> Result<()> {
+    let points = NarrowPoints::of(frame, FORMAT)?;
+    let others = points.others();
+    let names = names_of(&others);
+    let matrix = to_world(options.up, points.origin);
+    let object = |ogawa: &mut Ogawa| {
+        let count = points.positions.len() as u64;
+        let bounds = bounds_sample(bounds(&points.positions), ogawa)?;
+        let positions = real_sample(points.positions.as_flattened(), (count, 3), ogawa)?;
+        let ids = ogawa.sample(count, 8 * count, &mut |out| match &points.ids {
+            Some(ids) => write_pieces(ids, i64::to_le_bytes, out),
+            None => write_pieces(&(0..count).collect::<Vec<u64>>(), u64::to_le_bytes, out),
+        })?;
+        let widths =
+            points.widths.as_ref().map(|widths| real_sample(widths, (count, 1), ogawa)).transpose()?;
+        let (velocities, params) = attribute_samples(&others, &names, ogawa)?;
+        PointSamples { bounds, positions, ids, velocities, widths }.object(&matrix, params, ogawa)
+    };
+    write_archive(provenance, &Times::Static, object, out)
+}
+
+/// Notes on attributes that a file does not hold exactly.
+pub fn particle_notes(frame: &ParticleFrame) -> Vec<String> {
+    let points = NarrowPoints::of(frame, FORMAT);
+    let of_attributes = points.map(|points| attribute_notes(&points.others())).unwrap_or_default();
+    of_attributes.into_iter().chain(not_finite_notes(frame, "abc")).collect()
 }
 
 fn reals(name: &str, kind: ParamType, values: &[f32], ogawa: &mut Ogawa) -> Result<AbcProperty> {
@@ -488,9 +543,9 @@ pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribut
     }
 }
 
-/// Whether a file that starts with these bytes is an archive of this crate, which has a mesh.
-pub(crate) fn is_own(head: &[u8]) -> bool {
-    is_archive(head) && own_head(head).is_some()
+/// Whether a file that starts with these bytes is an archive of this crate with a mesh.
+pub(crate) fn is_own_mesh(head: &[u8]) -> bool {
+    is_archive(head) && own_head(head).is_some_and(|recorded| !are_points(&recorded))
 }
 
 const NOT_OURS: &str =

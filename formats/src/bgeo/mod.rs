@@ -453,7 +453,7 @@ fn clear_strings_outside(indices: &mut [i32], count: usize, name: &str) -> Optio
 ///
 /// [`Error::Io`] from `out`; [`Error::Invalid`] for an attribute without `arity` values per particle;
 /// [`Error::TooLarge`] for data beyond the format's limits, such as an integer beyond 32 bits.
-pub fn write(frame: &ParticleFrame, out: &mut impl Write) -> Result<()> {
+pub fn write(frame: &ParticleFrame, out: &mut (impl Write + ?Sized)) -> Result<()> {
     let point_count = frame.positions.len();
     vertex_attributes::check(frame, FORMAT)?;
     frame.attributes.iter().try_for_each(check)?;
@@ -497,7 +497,7 @@ fn check(attribute: &FileAttribute) -> Result<()> {
     Ok(())
 }
 
-fn write_dictionary_entry(attribute: &FileAttribute, out: &mut impl Write) -> Result<()> {
+fn write_dictionary_entry(attribute: &FileAttribute, out: &mut (impl Write + ?Sized)) -> Result<()> {
     let turns_with_object = matches!(
         attribute.role,
         Some(AttributeRole::Velocity | AttributeRole::Acceleration | AttributeRole::Normal)
@@ -523,7 +523,7 @@ fn write_dictionary_entry(attribute: &FileAttribute, out: &mut impl Write) -> Re
     Ok(())
 }
 
-fn write_string(string: &str, out: &mut impl Write) -> Result<()> {
+fn write_string(string: &str, out: &mut (impl Write + ?Sized)) -> Result<()> {
     // Readers may take the 16-bit length as signed.
     match i16::try_from(string.len()) {
         Ok(length) => out.write_all(&length.to_be_bytes())?,

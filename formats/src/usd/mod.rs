@@ -20,6 +20,8 @@ mod sequence;
 mod tests;
 
 use crate::data::{MeshView, VertexAttribute, VertexValues, bounds_of};
+use crate::narrow_points::NarrowPoints;
+use crate::provenance::are_points;
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
 
 pub(crate) use sequence::{SequenceAttribute, UsdSequence};
@@ -33,6 +35,9 @@ pub(crate) const ROOT: &str = "root";
 
 /// The name of the mesh.
 pub(crate) const PRIM: &str = "surface";
+
+/// The name of the points beside a mesh.
+pub(crate) const POINTS_PRIM: &str = "spray";
 
 /// The property with the origin of the mesh.
 pub(crate) const TRANSLATE: &str = "xformOp:translate";
@@ -60,12 +65,17 @@ pub(crate) fn attribute_of(property: &str) -> Option<&str> {
 /// which a mesh comes first.
 pub(crate) fn declares_mesh(head: &[u8]) -> bool {
     let contains = |word: &[u8]| head.windows(word.len()).any(|part| part == word);
-    let is_ours = match head {
-        [b'#', ..] => contains(b"dictionary meniscus = {"),
-        _ => head.get(88..).is_some_and(|rest| rest.starts_with(b"# ") || rest.starts_with(b"end_header\n")),
+    let (is_ours, recorded) = match head {
+        [b'#', ..] => (contains(b"dictionary meniscus = {"), crate::usda::read_provenance(head)),
+        _ => {
+            let has_comment = |rest: &[u8]| rest.starts_with(b"# ") || rest.starts_with(b"end_header\n");
+            (head.get(88..).is_some_and(has_comment), crate::usdc::read_provenance(head))
+        }
     };
+    let has_points = are_points(&recorded.unwrap_or_default());
     !has_clips(head)
-        && (is_ours || head.starts_with(b"#usda") && contains(b"def Mesh ") && !contains(b"def Points "))
+        && (is_ours && !has_points
+            || head.starts_with(b"#usda") && contains(b"def Mesh ") && !contains(b"def Points "))
 }
 
 /// Whether a text has value clips, judged by its first bytes: what it shows is in other layers, which are not read.
@@ -204,13 +214,42 @@ pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool], is_clip: bo
         found.extend(properties_of(attribute, &property));
     }
     found.push(MeshProperty::new("token", "subdivisionScheme", PropertyValue::Token("none")));
-    let is_moved = mesh.origin != [0.0; 3];
-    if is_moved || is_clip {
-        found.push(MeshProperty::new("double3", TRANSLATE, PropertyValue::Double3(mesh.origin)));
+    found.extend(translation(mesh.origin, is_clip));
+    found
+}
+
+/// The properties of a prim whose points are relative to an origin.
+fn translation<'a>(origin: [f64; 3], is_clip: bool) -> impl Iterator<Item = MeshProperty<'a>> {
+    let is_moved = origin != [0.0; 3];
+    let translate = MeshProperty::new("double3", TRANSLATE, PropertyValue::Double3(origin));
+    let order = MeshProperty::new("token[]", "xformOpOrder", PropertyValue::TokenList(TRANSLATE));
+    (is_moved || is_clip).then_some(translate).into_iter().chain(is_moved.then_some(order))
+}
+
+/// The properties of points, in the order of the file; `others` are their attributes except ids and widths. `is_clip` as
+/// for [`properties`].
+pub(crate) fn point_properties<'a>(
+    points: &'a NarrowPoints<'_>,
+    others: &[VertexAttribute<'a>],
+    is_clip: bool,
+) -> Vec<MeshProperty<'a>> {
+    let mut found = Vec::new();
+    let radius = points.widths.iter().flatten().fold(0.0, |most: f32, width| most.max(0.5 * width));
+    if let Some([low, high]) = bounds_of(&points.positions) {
+        let extent = [low.map(|along| along - radius), high.map(|along| along + radius)];
+        found.push(MeshProperty::new("float3[]", "extent", PropertyValue::Extent(extent)));
     }
-    if is_moved {
-        found.push(MeshProperty::new("token[]", "xformOpOrder", PropertyValue::TokenList(TRANSLATE)));
+    found.extend(points.ids.as_ref().map(|ids| {
+        MeshProperty::array("int64[]", "ids", Elements::Integers { values: ids, arity: 1, is_narrow: false })
+    }));
+    let positions = Elements::reals(points.positions.as_flattened(), 3);
+    found.push(MeshProperty::array("point3f[]", "points", positions));
+    for (attribute, property) in others.iter().zip(usd_properties(others)) {
+        found.extend(properties_of(attribute, &property));
     }
+    let widths = points.widths.as_deref();
+    found.extend(widths.map(|widths| MeshProperty::array("float[]", "widths", Elements::reals(widths, 1))));
+    found.extend(translation(points.origin, is_clip));
     found
 }
 

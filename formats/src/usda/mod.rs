@@ -36,20 +36,22 @@ pub use head::{read_layer_info, read_sampled_properties, read_times};
 pub(crate) use parse::{read_array, read_layer};
 pub use stage::{ClipFile, StageClips, UsdStage, stage_text};
 
-use crate::data::{MeshView, Provenance};
+use crate::data::{MeshView, ParticleFrame, Provenance};
 use crate::error::Result;
 use crate::gltf::SequenceFrame;
+use crate::narrow_points::{NarrowPoints, not_finite_notes};
 use crate::options::{MeshOptions, WriteOption};
 use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
 use crate::text::{NumberWriter, ends_with_line};
 use crate::usd::mesh::read_alone;
 use crate::usd::points::READER;
 use crate::usd::{
-    Elements, FORMAT, MeshProperty, PRIM, PropertyValue, SAMPLE_CODE, SequenceAttribute, TRANSLATE,
-    UsdSequence, attribute_of, properties, renamed,
+    Elements, FORMAT, MeshProperty, POINTS_PRIM, PRIM, PropertyValue, SAMPLE_CODE, SequenceAttribute,
+    TRANSLATE, UsdSequence, attribute_of, point_properties, properties, renamed,
 };
 use crate::vertex_attributes::{check_quads, faces, plain_name, quad_count, string_index};
-use head::{LAST_LINE, head, quoted, read_provenance, times};
+pub(crate) use head::read_provenance;
+use head::{LAST_LINE, head, quoted, times};
 
 /// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
@@ -125,12 +127,56 @@ fn encode_batch(
 
 /// The properties that are also written as time samples.
 fn sampled_properties(mesh: &MeshView, options: &MeshOptions) -> Vec<SampledProperty> {
-    if !options.time_samples {
-        return Vec::new();
-    }
-    let varying =
-        properties(mesh, &options.quads, true).into_iter().filter(|property| !property.is_uniform());
+    if options.time_samples { varying(properties(mesh, &options.quads, true)) } else { Vec::new() }
+}
+
+/// Those of the properties that can have time samples.
+fn varying(properties: Vec<MeshProperty>) -> Vec<SampledProperty> {
+    let varying = properties.into_iter().filter(|property| !property.is_uniform());
     varying.map(|MeshProperty { kind, name, .. }| SampledProperty { kind, name }).collect()
+}
+
+// Writes points.
+
+/// Writes particles as a prim of the type `Points`.
+///
+/// # Errors
+///
+/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if an attribute has the wrong number of values, or a
+/// position is not finite.
+pub fn write_particles(
+    frame: &ParticleFrame,
+    options: &MeshOptions,
+    provenance: &Provenance,
+    out: &mut dyn Write,
+) -> Result<()> {
+    let points = NarrowPoints::of(frame, FORMAT)?;
+    let others = points.others();
+    let has_samples = options.time_samples;
+    let properties = point_properties(&points, &others, has_samples);
+    let sections = sections_of(&properties, has_samples);
+    let texts = tasks(&sections);
+    let sampled = if has_samples { varying(properties) } else { Vec::new() };
+    let head = head(provenance, (None, &sampled), (options.up, options.meters_per_unit), "");
+    write!(out, "{head}    def Points \"{POINTS_PRIM}\"\n    {{\n")?;
+    for tasks in texts.chunks(TASKS_AT_ONCE) {
+        let texts: Vec<Vec<u8>> = tasks.par_iter().map(|task| task.text(&sections)).collect();
+        texts.iter().try_for_each(|text| out.write_all(text))?;
+    }
+    write!(out, "    }}\n}}\n\n{LAST_LINE}{} points\n", points.positions.len())?;
+    Ok(())
+}
+
+/// Notes on attributes that a file does not hold exactly.
+pub fn particle_notes(frame: &ParticleFrame) -> Vec<String> {
+    notes_of_points(frame, "usda")
+}
+
+/// Notes on attributes that a file with this extension does not hold exactly.
+pub(crate) fn notes_of_points(frame: &ParticleFrame, extension: &str) -> Vec<String> {
+    let points = NarrowPoints::of(frame, FORMAT);
+    let renamed = points.map(|points| renamed(&points.others(), extension)).unwrap_or_default();
+    renamed.into_iter().chain(not_finite_notes(frame, extension)).collect()
 }
 
 /// The text of a property.
@@ -190,10 +236,14 @@ fn about(has_vertex_interpolation: bool, element_size: usize) -> String {
 }
 
 fn sections<'a>(mesh: &MeshView<'a>, options: &'a MeshOptions) -> Vec<PropertyText<'a>> {
+    sections_of(&properties(mesh, &options.quads, options.time_samples), options.time_samples)
+}
+
+fn sections_of<'a>(properties: &[MeshProperty<'a>], has_samples: bool) -> Vec<PropertyText<'a>> {
     let mut sections = Vec::new();
-    for property in &properties(mesh, &options.quads, options.time_samples) {
+    for property in properties {
         sections.push(PropertyText::of(property));
-        if options.time_samples && !property.is_uniform() {
+        if has_samples && !property.is_uniform() {
             sections.push(PropertyText::sample_of(property));
         }
     }

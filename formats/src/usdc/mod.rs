@@ -41,17 +41,22 @@ pub(crate) use read::{CrateFile, read_layer};
 pub use sequence::write_sequence;
 
 use crate::data::{
-    AttributeRole, FileAttribute, MeshView, Provenance, Values, VertexAttribute, VertexValues,
+    AttributeRole, FileAttribute, MeshView, ParticleFrame, Provenance, Values, VertexAttribute, VertexValues,
 };
 use crate::error::Result;
 use crate::gltf::{ACCELERATION_NAME, COLOR_NAME, PlacedMesh};
 use crate::limits::Limits;
+use crate::narrow_points::NarrowPoints;
 use crate::options::{MeshOptions, UpAxis, WriteOption};
 use crate::provenance::{comments, from_comments};
 use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
 use crate::usd::mesh::read_alone;
 use crate::usd::points::READER;
-use crate::usd::{FORMAT, MeshProperty, PropertyValue, ROOT, SAMPLE_CODE, properties, renamed};
+use crate::usd::{
+    FORMAT, MeshProperty, POINTS_PRIM, PropertyValue, ROOT, SAMPLE_CODE, point_properties, properties,
+    renamed,
+};
+use crate::usda::notes_of_points;
 use crate::vertex_attributes::{check_quads, plain_name, quad_count};
 use array::{ALIGNMENT, CrateArray};
 use tables::{
@@ -105,10 +110,58 @@ pub(crate) static ROW: OutputRow = OutputRow {
 fn write(mesh: &MeshView, options: &MeshOptions, provenance: &Provenance, out: &mut dyn Write) -> Result<()> {
     mesh.check(FORMAT)?;
     check_quads(FORMAT, mesh.triangles, &options.quads)?;
-    let found = properties(mesh, &options.quads, true);
+    let layer = LayerHead {
+        provenance,
+        info: Some(LayerInfo {
+            vertices: mesh.positions.len() as u64,
+            faces: (mesh.triangles.len() - quad_count(&options.quads)) as u64,
+            frames: None,
+        }),
+        up: options.up,
+        meters_per_unit: options.meters_per_unit,
+        times: None,
+        prim: (MESH_KIND, &plain_name(&options.name)),
+    };
+    write_layer(&properties(mesh, &options.quads, true), &layer, out)
+}
+
+/// The type of the prim of a mesh.
+const MESH_KIND: &str = "Mesh";
+
+/// Writes particles as a prim of the type `Points`.
+///
+/// # Errors
+///
+/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if an attribute has the wrong number of values, or a
+/// position is not finite; [`crate::Error::TooLarge`] beyond the limits of the format.
+pub fn write_particles(
+    frame: &ParticleFrame,
+    options: &MeshOptions,
+    provenance: &Provenance,
+    out: &mut dyn Write,
+) -> Result<()> {
+    let points = NarrowPoints::of(frame, FORMAT)?;
+    let layer = LayerHead {
+        provenance,
+        info: None,
+        up: options.up,
+        meters_per_unit: options.meters_per_unit,
+        times: None,
+        prim: ("Points", POINTS_PRIM),
+    };
+    write_layer(&point_properties(&points, &points.others(), true), &layer, out)
+}
+
+/// Notes on attributes that a file does not hold exactly.
+pub fn particle_notes(frame: &ParticleFrame) -> Vec<String> {
+    notes_of_points(frame, "usdc")
+}
+
+/// Writes a layer with one prim, which has these properties.
+fn write_layer(found: &[MeshProperty], layer: &LayerHead, out: &mut dyn Write) -> Result<()> {
     let arrays: Vec<Option<CrateArray>> = found.par_iter().map(array_of).collect::<Result<_>>()?;
 
-    let mut at = head(provenance, 0).len() as u64;
+    let mut at = head(layer.provenance, 0).len() as u64;
     let mut spans = Vec::new();
     for array in &arrays {
         let padding = padding(at);
@@ -125,20 +178,8 @@ fn write(mesh: &MeshView, options: &MeshOptions, provenance: &Provenance, out: &
         };
         specs.push(spec(property, value));
     }
-    let layer = LayerHead {
-        provenance,
-        info: LayerInfo {
-            vertices: mesh.positions.len() as u64,
-            faces: (mesh.triangles.len() - quad_count(&options.quads)) as u64,
-            frames: None,
-        },
-        up: options.up,
-        meters_per_unit: options.meters_per_unit,
-        times: None,
-        prim: &plain_name(&options.name),
-    };
-    let (end, contents_at) = end.finish(&layer, &specs)?;
-    out.write_all(&head(provenance, contents_at))?;
+    let (end, contents_at) = end.finish(layer, &specs)?;
+    out.write_all(&head(layer.provenance, contents_at))?;
     for (array, (padding, _)) in arrays.iter().zip(spans) {
         out.write_all(padding)?;
         array.iter().try_for_each(|array| array.write(out))?;
@@ -270,7 +311,7 @@ fn head(provenance: &Provenance, contents_at: u64) -> Vec<u8> {
 }
 
 /// The provenance in the first bytes of a file.
-fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
+pub(crate) fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
     check_magic(head)?;
     Ok(from_comments(head.get(COMMENT_AT..).unwrap_or_default(), COMMENT))
 }
@@ -284,13 +325,14 @@ fn padding(at: u64) -> &'static [u8] {
 /// The metadata of the layer.
 struct LayerHead<'a> {
     provenance: &'a Provenance,
-    info: LayerInfo,
+    /// `None` for points.
+    info: Option<LayerInfo>,
     up: UpAxis,
     meters_per_unit: f64,
     /// The first and last time code, and the time codes per second; `None` for one frame.
     times: Option<([i64; 2], f64)>,
-    /// The name of the mesh.
-    prim: &'a str,
+    /// The type and the name of the prim with the mesh or the points.
+    prim: (&'static str, &'a str),
 }
 
 /// A property of the mesh.
@@ -414,7 +456,9 @@ impl LayerEnd {
             provenance.push((key.as_str(), value));
         }
         let provenance = self.dictionary(&provenance);
-        let LayerInfo { vertices, faces, frames } = head.info;
+        let Some(LayerInfo { vertices, faces, frames }) = head.info else {
+            return self.dictionary(&[("meniscus", provenance)]);
+        };
         let mut counts = vec![("faces", self.int64(faces)), ("vertices", self.int64(vertices))];
         counts.extend(frames.map(|frames| ("frames", self.int64(frames))));
         let counts = self.dictionary(&counts);
@@ -448,13 +492,14 @@ impl LayerEnd {
         }
         self.tables.add_spec("", SpecType::PseudoRoot, &fields);
         let specifier = ValueRep::inlined(ValueType::Specifier, 0); // def
-        let (kind, children) = (self.tables.token_value("Xform"), self.names([head.prim].into_iter()));
+        let (kind, children) = (self.tables.token_value("Xform"), self.names([head.prim.1].into_iter()));
         let fields = [("specifier", specifier), ("typeName", kind), ("primChildren", children)];
         self.tables.add_spec(ROOT, SpecType::Prim, &fields);
-        let kind = self.tables.token_value("Mesh");
+        let (kind, prim) = head.prim;
+        let kind = self.tables.token_value(kind);
         let names = self.names(properties.iter().map(|property| property.name.as_str()));
         let fields = [("specifier", specifier), ("typeName", kind), ("properties", names)];
-        self.tables.add_spec(head.prim, SpecType::Prim, &fields);
+        self.tables.add_spec(prim, SpecType::Prim, &fields);
         for property in properties {
             self.add_property(property)?;
         }

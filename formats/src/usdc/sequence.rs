@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use super::array::{CrateArray, IntegerBuffers};
 use super::tables::{CONTENTS_AT, ValueRep, ValueType};
-use super::{LayerEnd, LayerHead, PropertySpec, SpecValue, head, padding};
+use super::{LayerEnd, LayerHead, MESH_KIND, PropertySpec, SpecValue, head, padding};
 use crate::data::Provenance;
 use crate::digest::{Hasher, SampleKey};
 use crate::error::Result;
@@ -70,11 +70,11 @@ pub fn write_sequence<R: Read + Seek + Send>(
     }
     let layer = LayerHead {
         provenance,
-        info: shot.layer_info()?,
+        info: Some(shot.layer_info()?),
         up: shot.placement.up,
         meters_per_unit,
         times: Some((shot.code_range(), fps)),
-        prim: PRIM,
+        prim: (MESH_KIND, PRIM),
     };
     let (end, contents_at) = end.finish(&layer, &specs)?;
     out.write_all(&end)?;

@@ -1,0 +1,109 @@
+//! The formats in which the points beside a surface are written, such as spray.
+
+use std::io::Write;
+
+use crate::data::{ParticleFrame, Provenance};
+use crate::error::Result;
+use crate::options::MeshOptions;
+use crate::table::OutputFormat;
+use crate::{abc, bgeo, npy, ply, usda, usdc, vtk};
+
+/// A format of points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum PointFormat {
+    /// Binary PLY.
+    Ply,
+    /// VTK's `.vtp`.
+    Vtp,
+    /// Classic BGEO.
+    Bgeo,
+    /// USD as text: a prim of the type `Points`.
+    Usda,
+    /// Binary USD: the same.
+    Usdc,
+    /// Alembic: an object with the schema `Points`.
+    Abc,
+    /// A structured NumPy array.
+    Npy,
+}
+
+impl PointFormat {
+    /// All formats.
+    pub const ALL: [PointFormat; 7] = [
+        PointFormat::Ply,
+        PointFormat::Vtp,
+        PointFormat::Bgeo,
+        PointFormat::Usda,
+        PointFormat::Usdc,
+        PointFormat::Abc,
+        PointFormat::Npy,
+    ];
+
+    /// The file extension, without the dot.
+    pub fn extension(self) -> &'static str {
+        match self {
+            PointFormat::Ply => "ply",
+            PointFormat::Vtp => "vtp",
+            PointFormat::Bgeo => "bgeo",
+            PointFormat::Usda => "usda",
+            PointFormat::Usdc => "usdc",
+            PointFormat::Abc => "abc",
+            PointFormat::Npy => "npy",
+        }
+    }
+
+    /// A one-line description for `--help`.
+    pub fn help(self) -> &'static str {
+        match self {
+            PointFormat::Ply => "Binary PLY",
+            PointFormat::Vtp => "VTK PolyData",
+            PointFormat::Bgeo => "Classic BGEO, for Houdini and Partio",
+            PointFormat::Usda => "USD as text, with a prim of the type Points",
+            PointFormat::Usdc => "Binary USD, with a prim of the type Points",
+            PointFormat::Abc => "Alembic, with an object of the schema Points",
+            PointFormat::Npy => "A structured NumPy array",
+        }
+    }
+
+    /// The format with the same extension as this format of surfaces.
+    pub fn beside(format: OutputFormat) -> Option<PointFormat> {
+        PointFormat::ALL.into_iter().find(|points| points.extension() == format.extension())
+    }
+
+    /// Writes points with all their attributes. Of the options, the up axis and the length of a unit matter to some
+    /// formats.
+    ///
+    /// # Errors
+    /// [`Error::Io`](crate::Error::Io) if `out` fails; [`Error::Invalid`](crate::Error::Invalid) if an attribute has the
+    /// wrong number of values; [`Error::TooLarge`](crate::Error::TooLarge) beyond the limits of the format.
+    pub fn write(
+        self,
+        points: &ParticleFrame,
+        options: &MeshOptions,
+        provenance: &Provenance,
+        out: &mut dyn Write,
+    ) -> Result<()> {
+        match self {
+            PointFormat::Ply => ply::write_particles(points, provenance, out),
+            PointFormat::Vtp => vtk::write_particles(points, provenance, out),
+            PointFormat::Bgeo => bgeo::write(points, out),
+            PointFormat::Usda => usda::write_particles(points, options, provenance, out),
+            PointFormat::Usdc => usdc::write_particles(points, options, provenance, out),
+            PointFormat::Abc => abc::write_particles(points, options, provenance, out),
+            PointFormat::Npy => npy::write(points, out),
+        }
+    }
+
+    /// Notes on data that a file does not hold exactly.
+    pub fn notes(self, points: &ParticleFrame) -> Vec<String> {
+        match self {
+            PointFormat::Ply => ply::particle_notes(points),
+            PointFormat::Vtp => vtk::particle_notes(points),
+            PointFormat::Usda => usda::particle_notes(points),
+            PointFormat::Usdc => usdc::particle_notes(points),
+            PointFormat::Abc => abc::particle_notes(points),
+            PointFormat::Bgeo => Vec::new(),
+            PointFormat::Npy => npy::particle_notes(points),
+        }
+    }
+}
