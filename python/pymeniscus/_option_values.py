@@ -63,6 +63,10 @@ class OptionValues(TypedDict, total=False):
         Seconds from one frame to the next (not the time step of the solver), 1e-9 to 1e9, for `temporal` with particles that have velocities and no ids
     drop_islands : int
         Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]
+    spray : int
+        Leave pieces of fluid with fewer particles than this out of the surface, and write them as points beside it, 0 to 1000 [default: 0] Particles are linked if their r_init spheres touch. dam.0012.spray.ply has the points beside dam.0012.glb, with a radius, a class (drop, cluster or filament), and the attributes of the particles.
+    spray_keep : int
+        Number of frames that a particle stays in the surface or in the spray before it changes, 1 to 5; particles are followed by their ids [default: 3]
     fill_cavities : float
         Fill enclosed cavities with less volume than this, in h³, 0 to 1000000 [default: 25 d³, which is 763 h³ on the default grid]
     clip : str | Sequence[float]
@@ -110,6 +114,8 @@ class OptionValues(TypedDict, total=False):
     temporal: int | None
     time_step: float | None
     drop_islands: int | None
+    spray: int | None
+    spray_keep: int | None
     fill_cavities: float | None
     clip: str | Sequence[float] | None
     contour: Literal["dual", "tetrahedra"] | None

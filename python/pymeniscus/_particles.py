@@ -147,6 +147,18 @@ def read(
     if isinstance(columns, Mapping):
         columns = ",".join(f"{name}={column}" for name, column in columns.items())
     positions, attributes, notes, file_hash = _native.read(path, columns)
+    return particles_of(positions, attributes, notes=tuple(notes), path=os.fspath(path), file_hash=file_hash)
+
+
+def particles_of(
+    positions: NDArray[Any],
+    attributes: list[tuple[str, str | None, int, NDArray[Any], list[str] | None]],
+    *,
+    notes: tuple[str, ...] = (),
+    path: str | None = None,
+    file_hash: str | None = None,
+) -> Particles:
+    """Particles from the arrays of the native module."""
     arrays: dict[str, NDArray[Any]] = {}
     roles, texts = {}, {}
     for name, role, arity, values, table in attributes:
@@ -156,8 +168,6 @@ def read(
         arrays[name] = values if arity == 1 else values.reshape(-1, arity)
         if role is not None:
             roles[name] = role
-    particles = Particles(
-        positions, arrays, roles=roles, notes=tuple(notes), path=os.fspath(path), file_hash=file_hash
-    )
+    particles = Particles(positions, arrays, roles=roles, notes=notes, path=path, file_hash=file_hash)
     particles._texts = texts
     return particles

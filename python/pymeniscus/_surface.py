@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import _native
 from ._arrays import as_points, words_of
 from ._options import as_values
-from ._particles import Particles
+from ._particles import Particles, particles_of
 
 
 class Certificate(Mapping[str, Any]):
@@ -245,6 +245,17 @@ class Surface:
             if role == "velocity" and arity == 3:
                 return self._native.attribute(index)
         return None
+
+    @cached_property
+    def spray(self) -> Particles | None:
+        """The particles that are not in the mesh, because their pieces of fluid are smaller than the option `spray`;
+        None without this option.
+
+        They have the attributes of the files that the command writes, such as ``radius`` and
+        ``spray_class``: see docs/formats.md. Frames in memory are decided one by one.
+        """
+        found = self._native.spray()
+        return None if found is None else particles_of(*found)
 
     @property
     def level_set(self) -> LevelSet:

@@ -13,7 +13,7 @@
 use std::collections::TryReserveError;
 
 use meniscus::glam::{DVec3, IVec3};
-use meniscus::surface::{LEAF_EDGE, LEAF_VOXELS, NarrowBand, checkpoint};
+use meniscus::surface::{LEAF_EDGE, NarrowBand, checkpoint};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
@@ -40,7 +40,7 @@ impl Rows {
         let row = self.rows.get(&(origin.y, origin.z)).map_or(&[][..], Vec::as_slice);
         let end = row.partition_point(|(x, _)| *x <= origin.x);
         let Some((x, leaf)) = end.checked_sub(1).map(|index| row[index]) else { return band.half_width };
-        let values: &[f32; LEAF_VOXELS] = &band.phi.leaves[leaf as usize].values;
+        let values = &band.phi.leaves[leaf as usize].values;
         let value = |x: i32| values[(x as usize) << 6 | (local.y as usize) << 3 | local.z as usize];
         if x == origin.x { value(local.x) } else { band.half_width.copysign(value(LEAF_EDGE - 1)) }
     }

@@ -10,7 +10,7 @@ use meniscus::pipeline::{
 };
 use meniscus::surface::RequestedParts;
 use meniscus::surface::{ColumnNames, Options, Positions, Settings};
-use meniscus_formats::{FilePositions, UpAxis, Values};
+use meniscus_formats::{FilePositions, ParticleFrame, UpAxis, Values};
 use numpy::{IntoPyArray, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -298,7 +298,11 @@ impl Obstacle {
 
 /// An attribute of a file: name, role, number of values per particle, and the values. For text, the values
 /// are indices into the last item, the distinct strings.
-type ReadAttribute<'py> = (String, Option<&'static str>, usize, Bound<'py, PyAny>, Option<Vec<String>>);
+pub(crate) type ReadAttribute<'py> =
+    (String, Option<&'static str>, usize, Bound<'py, PyAny>, Option<Vec<String>>);
+
+/// Positions (N, 3), and attributes.
+pub(crate) type FrameArrays<'py> = (Bound<'py, PyAny>, Vec<ReadAttribute<'py>>);
 
 /// Positions (N, 3), attributes, notes, and the hash of the file.
 type ReadFrame<'py> = (Bound<'py, PyAny>, Vec<ReadAttribute<'py>>, Vec<String>, String);
@@ -317,6 +321,13 @@ pub(crate) fn read<'py>(py: Python<'py>, path: PathBuf, columns: Option<&str>) -
         Ok((XxHash3_128::oneshot(&bytes), frame))
     })?;
     let (hash, frame) = read.map_err(|failure: FrameError| of_frame(&path, failure))?;
+    let notes = frame.notes.clone();
+    let (positions, attributes) = arrays_of(py, frame)?;
+    Ok((positions, attributes, notes, format!("{hash:032x}")))
+}
+
+/// The arrays of a frame of particles.
+pub(crate) fn arrays_of(py: Python<'_>, frame: ParticleFrame) -> PyResult<FrameArrays<'_>> {
     let positions = match frame.positions {
         FilePositions::F32(positions) => rows_of(py, positions)?.into_any(),
         FilePositions::F64(positions) => rows_of(py, positions)?.into_any(),
@@ -333,7 +344,7 @@ pub(crate) fn read<'py>(py: Python<'py>, path: PathBuf, columns: Option<&str>) -
         };
         (attribute.name, role, attribute.arity, values, table)
     });
-    Ok((positions, attributes.collect(), frame.notes, format!("{hash:032x}")))
+    Ok((positions, attributes.collect()))
 }
 
 /// The exception for a frame that cannot be read.

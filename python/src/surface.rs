@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
 use meniscus::glam::IVec3;
-use meniscus::pipeline::EmbeddedSurface;
+use meniscus::pipeline::{EmbeddedSurface, spray_points};
 use meniscus::surface::reconstruction::FrameSurface;
 use meniscus::surface::{AttributeValues, LEAF_EDGE, NarrowBand, RequestedParts, Role, Settings};
 use numpy::ndarray::{Array1, Array3};
@@ -17,7 +17,7 @@ use crate::audited::views::{make_read_only, view};
 use crate::compute::run;
 use crate::level_set::Rows;
 use crate::options::effective_pairs;
-use crate::program::{self, WriteOptions};
+use crate::program::{self, FrameArrays, WriteOptions};
 
 /// A surface. It never changes, because arrays borrow its memory.
 #[pyclass(frozen, module = "pymeniscus._native")]
@@ -162,6 +162,12 @@ impl Surface {
                 .into_any())
             }
         }
+    }
+
+    /// The positions (N, 3) and the attributes of the particles that are not in the mesh; `None` without the option.
+    fn spray<'py>(&self, py: Python<'py>) -> PyResult<Option<FrameArrays<'py>>> {
+        let Some(spray) = &self.surface.spray else { return Ok(None) };
+        program::arrays_of(py, spray_points(spray)).map(Some)
     }
 
     /// (L, 3) int32: the index of the voxel with the least x, y and z in each leaf.

@@ -274,6 +274,10 @@ def test_every_option_changes_something_or_is_refused(block):
             with pytest.raises(pm.OptionError, match="columns are of tables in files"):
                 pm.reconstruct(block, **options)
             continue
+        if info.name == "spray_keep":
+            with pytest.raises(pm.OptionError, match="each frame alone decides"):
+                pm.reconstruct(block, **{**options, "spray": 20})
+            continue
         if info.name in ("temporal", "time_step"):
             with pytest.raises(pm.OptionError, match="`temporal` averages the frames of a sequence"):
                 pm.reconstruct(block, velocity=velocity, **{**options, "temporal": 1})

@@ -273,3 +273,19 @@ def test_numpy_can_save_views(surface):
     buffer = io.BytesIO()
     np.save(buffer, surface.vertices)
     assert np.array_equal(np.load(io.BytesIO(buffer.getvalue())), surface.vertices)
+
+
+def test_small_pieces_are_spray():
+    drops = np.array([[0, 0, 3], [1, 0, 3], [1.1, 0, 3]], np.float32)
+    points = np.concatenate([drops, lattice(6)])
+    heat = np.arange(len(points), dtype=np.float32)
+    made = pm.reconstruct(points, {"heat": heat}, spacing=0.1, spray=20)
+    assert made.certificate.holds and made.report["particles"] == 216 and made.vertices[:, 2].max() < 1
+    assert made.report["spray"] == {"particles": 3, "drops": 1, "clusters": 1, "filaments": 0}
+    assert np.array_equal(made.spray.positions, drops) and made.spray["heat"].tolist() == [0, 1, 2]
+    assert list(made.spray["spray_class"]) == ["drop", "cluster", "cluster"]
+    assert np.allclose(4 / 3 * np.pi * made.spray["radius"] ** 3, 0.1**3, rtol=1e-5)
+    without = pm.reconstruct(points[3:], spacing=0.1)
+    assert np.array_equal(made.vertices, without.vertices) and without.spray is None
+    with pytest.raises(pm.OptionError, match="each frame alone decides"):
+        pm.reconstruct(points, spacing=0.1, spray=20, spray_keep=3)

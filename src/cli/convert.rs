@@ -50,6 +50,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
     }
     let (destination, folder, formats) = Destination::of(args, console)?;
     let mut outputs = formats.outputs(folder)?;
+    outputs.spray = formats.spray(&args.method, &outputs);
     if outputs.stage.is_some() && !matches!(destination, Destination::Folder) {
         bail!("--stage plays the files of a folder: name a folder with --out");
     }
@@ -302,7 +303,7 @@ impl ConvertPlan {
         note_gaps(&sequence.name, &numbered, selected, settings.temporal, console);
         let frames = selected.iter().map(|file| Frame {
             job: self.job,
-            around: numbered.frames_around(file.number(), settings.temporal),
+            around: numbered.frames_around(file.number(), settings.frames_around()),
             obstacles: Arc::clone(&self.obstacles),
             records: self.records.clone(),
             ..Frame::new(file, &settings, &outputs)

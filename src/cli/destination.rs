@@ -259,6 +259,11 @@ fn only_format(args: &ConvertArgs) -> Result<OutputFormat> {
             "--preview writes a second file, and the standard output takes only one: name a folder with --out"
         );
     }
+    if args.method.to_options().has_spray() {
+        bail!(
+            "--spray writes a second file, and the standard output takes only one: name a folder with --out"
+        );
+    }
     match args.formats.format.as_deref() {
         None if args.particles_only => Ok(OutputFormat::Ply),
         None => Ok(OutputFormat::Glb),

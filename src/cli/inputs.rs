@@ -12,7 +12,7 @@ use walkdir::{DirEntry, WalkDir};
 use crate::pipeline::{
     self, FrameFile, NumberPattern, OutFolderError, Sequence, SniffedContent, canonical_path,
     check_out_folder, content, content_with, entry_key, file_of, files_in, files_joined_by, frames_in,
-    is_absent, is_level_set, is_mesh, is_named_list, is_number, is_sequence_file, may_be_file,
+    is_absent, is_level_set, is_mesh, is_named_list, is_number, is_sequence_file, is_spray, may_be_file,
     promises_particles, refuse_foreign, shown, single_frame_sequences, single_frames_note, size_bytes,
     step_of,
 };
@@ -351,7 +351,8 @@ pub(super) fn with_files_of_folders(
                 let extension = path.extension().unwrap_or_default();
                 extensions.iter().any(|known| extension.eq_ignore_ascii_case(known))
             };
-            files.iter().filter(is_of_format).filter(|path| !is_sequence_file(path)).cloned().collect()
+            let is_other = |path: &&PathBuf| is_sequence_file(path) || is_spray(path);
+            files.iter().filter(is_of_format).filter(|path| !is_other(path)).cloned().collect()
         };
         let Some(found) = formats.iter().map(files_of).find(|found| !found.is_empty()) else {
             bail!("{}: this folder contains no {what}", input.display());

@@ -13,8 +13,8 @@ use toml::Value;
 
 use crate::pipeline::{
     self, EMPTY_BOUNDS, FrameError, FrameFile, Job, MeasuredSpacing, NoSpacing, ObstacleFiles, OutputFormat,
-    OutputOptions, Sequence, UsdStageOptions, frame_name, frames_in, is_level_set, is_own_output,
-    measure_spacing, measured_by, open_regular, preset_warning, sequence_bounds, step_of,
+    OutputOptions, PointFormat, Sequence, UsdStageOptions, frame_name, frames_in, is_level_set,
+    is_own_output, measure_spacing, measured_by, open_regular, preset_warning, sequence_bounds, step_of,
 };
 use crate::surface::options::{
     Length, LengthUnit, MethodOptions, OptionGroup, SequenceSpacing, Settings, ValueKind,
@@ -233,12 +233,19 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
         let needed = listed(needed.iter().map(|option| option.flag()).collect(), "and");
         warnings.push(format!("{} is ignored: it is for {needed} only", option_name(name)));
     }
+    if formats.spray_format.is_some() && !options.has_spray() {
+        warnings.push("--spray-format is ignored: it is for --spray only".to_owned());
+    }
     // A stage records the axis and the unit.
     let of_stage = [WriteOption::Up, WriteOption::MetersPerUnit].map(WriteOption::key);
     for name in method.given().into_iter().chain(formats.given()) {
         let Some(changed) = formats_changed_by(name) else { continue };
         let is_in_stage = formats.stage.is_some() && of_stage.contains(&name);
-        if !is_in_stage && !written.iter().any(|format| changed.contains(format)) {
+        let points = formats.spray_format.iter().flatten().filter(|_| options.has_spray());
+        let is_beside =
+            |points: &PointFormat| changed.iter().any(|format| PointFormat::beside(*format) == Some(*points));
+        let is_in_points = of_stage.contains(&name) && points.into_iter().any(is_beside);
+        if !is_in_stage && !is_in_points && !written.iter().any(|format| changed.contains(format)) {
             warnings.push(format!("{} is ignored: it affects {} only", option_name(name), kinds(&changed)));
         }
     }

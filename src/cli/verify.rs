@@ -13,9 +13,11 @@ use serde::Serialize;
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::{
     AroundFrame, DoneRecord, FrameFile, FrameRecords, NumberedFrames, OutputComparison, RecordedAround,
-    ResultState, STATE_FOLDER, Wanted, canonical_path, entry_key, file_of, hash_of_input, sequences,
+    ResultState, STATE_FOLDER, SettingValues, Wanted, canonical_path, entry_key, file_of, hash_of_input,
+    sequences,
 };
 
+use crate::surface::spray::frames_needed;
 use crate::surface::temporal::FRAMES_MAX;
 
 use super::CommandOutcome;
@@ -180,9 +182,8 @@ fn current_settings(
         }
         let Some((current, _)) = uses.into_iter().max_by_key(|(_, uses)| *uses) else { continue };
         let values = records.settings(current);
-        let reach: u32 = values.and_then(|values| values.get("temporal")?.parse().ok()).unwrap_or(0);
-        let reach = reach.min(FRAMES_MAX);
-        // A conversion of these inputs averages with no others.
+        let reach = values.as_ref().map_or(0, frames_around);
+        // A conversion of these inputs depends on no others.
         let given = sequence.frames.iter().filter(|file| given.contains(&*file.path));
         let numbered = NumberedFrames::of_files(given);
         settings.extend(sequence.frames.iter().map(|file| {
@@ -192,6 +193,16 @@ fn current_settings(
     }
     settings
 }
+
+/// The number of frames before and after a frame on which it depends, with these settings.
+fn frames_around(values: &SettingValues) -> u32 {
+    let number = |name: &str| values.get(name).and_then(|value| value.parse::<u32>().ok());
+    let of_spray = number("spray").and(number("spray_keep")).map_or(0, frames_needed);
+    (number("temporal").unwrap_or(0).min(FRAMES_MAX)).saturating_add(of_spray.min(FRAMES_READ_MAX))
+}
+
+/// More frames on each side than any settings need.
+const FRAMES_READ_MAX: u32 = 16;
 
 /// The hashes of the inputs that are known, by path.
 type InputHashes = HashMap<PathBuf, meniscus_formats::Result<u128>>;
@@ -238,7 +249,7 @@ fn verify_frame(
     let state = match (input_hash, changed) {
         (Err(unreadable), _) if state.is_done() => ResultState::Stale(unreadable),
         (_, Some(around)) if state.is_done() => {
-            ResultState::Stale(format!("{}, which it was averaged with, has changed since", around.name))
+            ResultState::Stale(format!("{}, on which it depends, has changed since", around.name))
         }
         _ => state,
     };

@@ -33,7 +33,10 @@ pub(super) fn described(job: &Job, report: &FrameReport) -> String {
         pluralize(reconstruction.mesh.triangle_count, "triangle")
     );
     match job {
-        Job::Surface => format!("{particles}, {mesh}, {seconds:.2} s"),
+        Job::Surface => {
+            let spray = reconstruction.spray.map(|spray| format!(", {} as spray", spray.particles));
+            format!("{particles}{}, {mesh}, {seconds:.2} s", spray.unwrap_or_default())
+        }
         Job::LevelSet { .. } => format!("{mesh}, {seconds:.2} s"),
         Job::Particles => format!("{particles}, {seconds:.2} s"),
     }

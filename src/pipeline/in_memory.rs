@@ -192,6 +192,7 @@ pub fn in_memory_attributes(
         anisotropy: Some(options.anisotropy_kind()),
         attributes: options.attributes.clone(),
         temporal: options.temporal,
+        spray: options.spray,
         ..MethodOptions::default()
     };
     let settings = Settings::resolve(&options, None).map_err(|error| error.message(spelled))?;

@@ -114,9 +114,10 @@ pub use input::steps::{
 pub use memory::{default_memory_bytes, resident_memory_bytes};
 pub use method::ScratchFile;
 pub use observer::Observer;
+pub use output::spray_files::points_of as spray_points;
 pub use output::writing::{encode_level_set, mesh_view, vertex_attributes};
 pub use reconstruct::{LoadedFrame, Reconstruction};
-pub use records::content::{SniffedContent, content, content_with};
+pub use records::content::{SniffedContent, content, content_with, is_spray};
 pub use records::figures::Figures;
 pub use records::frame_records::{
     FrameRecords, LatestRecords, OutputComparison, RecordedFrame, ResultState, STATE_FOLDER, SettingValues,
@@ -146,7 +147,7 @@ pub use stages::{OnError, PipelineOptions, default_in_flight, run, stream};
 pub use target::close_up::close_up;
 pub use target::framing::{Framed, Framing};
 pub use target::outputs::{
-    FRAME_RATES, METERS_PER_UNIT, OutputFormat, OutputOptions, UsdStageOptions, output_path,
+    FRAME_RATES, METERS_PER_UNIT, OutputFormat, OutputOptions, PointFormat, UsdStageOptions, output_path,
 };
 pub use target::picture::{PictureOptions, PictureScene, encode_picture, up_of, velocities};
 pub use target::viewpoint::{CameraChoice, Viewpoint};

@@ -8,7 +8,7 @@ use twox_hash::XxHash3_128;
 use crate::surface::flicker::MovingParticles;
 use crate::surface::options::Settings;
 use crate::surface::particles::{OwnedPositions, ParticleCloud};
-use crate::surface::reconstruction::FrameSurface;
+use crate::surface::reconstruction::{ApartParticles, FrameSurface};
 
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::attributes::AttributeRequest;
@@ -88,6 +88,14 @@ impl LoadedFrame {
         &self.path
     }
 
+    /// The frame with other particles, unless `change` fails.
+    pub(crate) fn try_map_cloud<E>(
+        self,
+        change: impl FnOnce(ParticleCloud) -> Result<ParticleCloud, E>,
+    ) -> Result<LoadedFrame, E> {
+        Ok(LoadedFrame { cloud: change(self.cloud)?, ..self })
+    }
+
     /// Its particles as other frames follow them.
     pub(crate) fn moving_particles(&self) -> MovingParticles {
         MovingParticles::of(self.cloud.positions.clone(), &self.cloud.attributes)
@@ -117,9 +125,17 @@ impl LoadedFrame {
         memory_bytes: u64,
     ) -> Result<Reconstruction, FrameError> {
         let path = &*self.path;
-        let smoothed = self.clone().smooth(settings, obstacles, outputs, (memory_bytes, 1))?;
+        let (mut loaded, mut spray) = (self.clone(), None);
+        if settings.spray > 0 {
+            let ParticleCloud { positions, attributes, .. } = &loaded.cloud;
+            let apart = ApartParticles::find(positions, attributes, settings);
+            let (positions, attributes, taken) = apart.take_spray(positions, attributes, &[], settings);
+            (loaded.cloud, spray) = (ParticleCloud { positions, attributes, ..loaded.cloud }, Some(taken));
+        }
+        let smoothed = loaded.smooth(settings, obstacles, outputs, (memory_bytes, 1))?;
         let SmoothedAlone { frame, start, obstacles, mut warnings } = smoothed;
         let surface = stage(path, Stage::Contour, || method::contour(frame, settings, outputs))?;
+        let surface = surface.with_spray(spray);
         let seconds = start.elapsed().as_secs_f64();
         warnings.extend(surface_warnings(&surface, outputs, settings));
         warnings.extend(left_out(&surface.report));

@@ -63,6 +63,8 @@ pub enum InputWarning {
     Irregular { irregularity: f64, suitable: Preset },
     /// The particles cannot be followed to the frames around: they have no ids, and no velocities with a time step.
     NotFollowed,
+    /// The particles have no ids, so each frame alone decides which of them are spray.
+    SprayWithoutIds,
     /// The frame has no number, so no frame is before or after it.
     NotNumbered,
     /// The frames around hardly count, because this share of their weight was confident.
@@ -124,7 +126,7 @@ pub enum FrameWarning {
     /// The 32-bit positions of the mesh are coarse: the frame is wide, or far from the origin, and all its
     /// files have the world positions that `format` stores.
     CoarsePositions { voxels: f64, format: Option<OutputFormat> },
-    /// The surface is not averaged with one of the frames around it.
+    /// One of the frames around it, on which the surface depends, is left out.
     NotAveraged { why: String },
     /// Particles outside the surface, which an offset or smoothed positions allow.
     ParticlesOutside { count: usize, particle_count: usize, is_offset: bool, is_smoothed: bool },
@@ -312,6 +314,10 @@ impl fmt::Display for InputWarning {
                 "the surface is not averaged with the frames around it: the particles have no ids of their own, \
                  and no velocities with a time step, by which they could be followed",
             ),
+            InputWarning::SprayWithoutIds => f.write_str(
+                "the particles have no ids of their own, so each frame alone decides which of them are spray, and pieces may \
+                 flicker between the surface and the points",
+            ),
             InputWarning::NotNumbered => f.write_str(
                 "the surface is not averaged with those of other frames: its name has no frame number; a time in a \
                  name is none",
@@ -438,7 +444,7 @@ impl fmt::Display for FrameWarning {
                 write!(f, "{particles} inside obstacles: the surface does not follow them there{hint}")
             }
             FrameWarning::NotAveraged { why } => {
-                write!(f, "the surface is not averaged with one of the frames around it: {why}")
+                write!(f, "one of the frames around it, on which the surface depends, is left out: {why}")
             }
             FrameWarning::NotConverged => {
                 f.write_str("the implicit solver did not converge to its tolerance")

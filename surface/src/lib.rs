@@ -56,7 +56,7 @@ pub use reconstruct::{RequestedParts, SmoothedFrame};
 pub use self::{
     attributes::TransferCounts,
     contour::Contouring,
-    grid::{Field, LEAF_EDGE, LEAF_VOXELS, Leaf, Topology},
+    grid::{Field, LEAF_EDGE, Leaf, Topology},
     level_set::NarrowBand,
     mesh::MeshMeasures,
     obstacle::{ContactStats, DepthStats, MeshFindings, Obstacle, ObstacleTooFar},
@@ -68,6 +68,7 @@ pub use self::{
     report::{EditReport, Phase, ReconstructionReport as Report, ShapeStats, TransferReport},
     smooth::{Convergence, Integrator, SmoothReport},
     spacing::{SequenceEstimate, SpacingEstimate, combine_estimates, estimate_spacing},
+    spray::{Spray, SprayClass, SprayCounts},
     storage::Storage,
     validation::{Certificate, ParticlesOutside},
 };
@@ -104,6 +105,8 @@ pub mod rasterize;
 pub mod smooth;
 #[doc(hidden)]
 pub mod spacing;
+#[doc(hidden)]
+pub mod spray;
 #[doc(hidden)]
 pub mod temporal;
 

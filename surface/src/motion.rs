@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use rustc_hash::FxHashMap;
 
 use crate::neighbors::Neighbors;
-use crate::particles::{Attribute, AttributeValues, OwnedPositions, Role, find_attribute};
+use crate::particles::{Attribute, OwnedPositions, find_attribute, ids_of, unique_ids};
 
 /// How points are carried to the frame before and the frame after.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,14 +48,7 @@ impl MovingParticles {
     /// Particles with the ids and the velocities among their attributes: those in the attribute `id`, or else in the
     /// first whose role this is.
     pub fn of(positions: OwnedPositions, attributes: &[Attribute]) -> MovingParticles {
-        let ids = |attribute: &&Attribute| match &attribute.values {
-            AttributeValues::Integers(ids) if attribute.role == Role::Id && attribute.arity == 1 => {
-                Some(ids.clone())
-            }
-            _ => None,
-        };
-        let named = attributes.iter().filter(|attribute| attribute.name == "id").find_map(|each| ids(&each));
-        let ids = named.or_else(|| attributes.iter().find_map(|each| ids(&each)));
+        let ids = ids_of(attributes).map(<[i64]>::to_vec);
         let velocities =
             find_attribute(attributes, "velocity", 3).and_then(|attribute| attribute.values.numbers());
         let velocities = velocities.map(|numbers| numbers.as_chunks::<3>().0.to_vec());
@@ -191,14 +184,3 @@ pub(crate) struct Mean {
 
 /// Particles are weighted up to this distance beyond the nearest one, in spacings.
 pub(crate) const BEYOND_NEAREST: f64 = 1.0;
-
-/// See [`TrackedParticles::index_of_id`].
-fn unique_ids(ids: &[i64]) -> FxHashMap<i64, u32> {
-    const SHARED: u32 = u32::MAX;
-    let mut index_of_id = FxHashMap::default();
-    for (&id, index) in ids.iter().zip(0u32..SHARED) {
-        index_of_id.entry(id).and_modify(|known| *known = SHARED).or_insert(index);
-    }
-    index_of_id.retain(|_, index| *index != SHARED);
-    index_of_id
-}

@@ -18,11 +18,12 @@ use crate::options::{Anisotropy, Length, SequenceSpacing, Settings, SettingsErro
 use crate::parallel::Loops as _;
 use crate::particles::{Attribute, OwnedPositions, ParticleSource, Positions, Shapes, find_attribute};
 use crate::reconstruction::{
-    self, MemoryPlan, MemoryPlanError, PlanInputs, PrecisionLimit, ShapedSource, StageError, StagedFrame,
-    Targets, TileStorage, VoxelTooSmall,
+    self, ApartParticles, MemoryPlan, MemoryPlanError, PlanInputs, PrecisionLimit, ShapedSource, StageError,
+    StagedFrame, Targets, TileStorage, VoxelTooSmall,
 };
 use crate::report::Phase;
 use crate::spacing::{estimate_spacing, median, rounded};
+use crate::spray::Spray;
 use crate::storage::Storage;
 use crate::temporal::{OtherFrame, TimedFrame};
 use crate::{Options, Report};
@@ -79,6 +80,9 @@ pub struct Surface {
     /// The particles' attributes at the vertices: those that [`Options::attributes`] selects, in the order of
     /// the input.
     pub attributes: Vec<Attribute>,
+    /// The particles that are not in the mesh, because their pieces of fluid are smaller than [`Options::spray`]; `None`
+    /// without this option. Without frames around, each frame decides alone.
+    pub spray: Option<Spray>,
     /// The signed distances that were contoured, in voxels of [`Settings::voxel_size`].
     pub level_set: NarrowBand,
     /// The resolved options: the spacing, the voxel size, the radii, and all others.
@@ -167,6 +171,7 @@ pub struct SmoothedFrame<'p> {
     timed: Option<Arc<TimedFrame>>,
     settings: Settings,
     wanted: RequestedParts,
+    spray: Option<Spray>,
 }
 
 impl SmoothedFrame<'_> {
@@ -349,32 +354,35 @@ impl<'a> Reconstructor<'a> {
         }
         check_required_attributes(settings, &attributes)?;
         let input_count = positions.len();
+        let (positions, attributes, spray) = without_spray(positions, attributes, settings);
         let plan = self.plan(&positions, &attributes, settings)?;
         self.begin(Phase::Rasterize);
         let moves = settings.temporal > 0;
         let moving = moves.then(|| MovingParticles::of(positions.borrowed().into(), &attributes));
-        let (shapes, shape_stats) = reconstruction::shapes_by_attributes(input_count, &attributes, settings);
+        let fluid_count = positions.len();
+        let (shapes, shape_stats) = reconstruction::shapes_by_attributes(fluid_count, &attributes, settings);
         let particles = ShapedPositions { positions, shapes };
         let Ok((particles, shape_stats)) =
             reconstruction::shape_by_neighbors(particles, shape_stats, settings);
         let tiles = self.tile_storage(&plan).map_err(Error::Scratch)?;
         let obstacles = self.obstacles.clone();
         let staged = StagedFrame::rasterize(particles, shape_stats, obstacles, settings, tiles)?;
-        if staged.report().particle_count == 0 && !allows_empty {
+        let is_all_spray = spray.as_ref().is_some_and(|spray| !spray.positions.is_empty());
+        if staged.report().particle_count == 0 && !allows_empty && !is_all_spray {
             return Err(Error::NoParticles { input_count });
         }
         self.begin(Phase::Smooth);
         let staged = staged.smooth(settings, &mut |fraction| self.advance(Phase::Smooth, fraction));
         let staged = staged.map_err(Error::Scratch)?;
         let timed = moving.and_then(|moving| staged.timed(moving, settings));
-        Ok(SmoothedFrame { staged, attributes, timed, settings: settings.clone(), wanted })
+        Ok(SmoothedFrame { staged, attributes, timed, settings: settings.clone(), wanted, spray })
     }
 
     fn contour_frame(
         &mut self,
         frame: SmoothedFrame<'_>,
     ) -> Result<(reconstruction::FrameSurface, Settings), Error> {
-        let SmoothedFrame { staged, attributes, settings, wanted, .. } = frame;
+        let SmoothedFrame { staged, attributes, settings, wanted, spray, .. } = frame;
         let RequestedParts { rounding, band_half_width_voxels, .. } = wanted;
         self.begin(Phase::Contour);
         let (mut surface, particles) = staged.contour(&settings, rounding)?;
@@ -385,7 +393,7 @@ impl<'a> Reconstructor<'a> {
             let surface = &mut surface;
             reconstruction::transfer_attributes(surface, positions, &shapes, &attributes, &settings, targets);
         }
-        Ok((surface, settings))
+        Ok((surface.with_spray(spray), settings))
     }
 
     /// The settings of the sequence. The first call resolves the options, and measures on these particles
@@ -530,6 +538,12 @@ fn resolve(
             "columns are of tables in files: the attributes of particles in memory have names".to_owned();
         return Err(SettingsError::of_value(what).into());
     }
+    if options.spray_keep.is_some_and(|keep| keep > 1) {
+        let what = "the frames before and after a frame in memory are not known, so each frame alone decides what is spray: \
+                    the number of frames that a particle stays on one side must be 1";
+        return Err(SettingsError::of_value(what.to_owned()).into());
+    }
+    let options = &Options { spray_keep: options.spray.map(|_| 1), ..options.clone() };
     let per_particle_radius = options.per_particle_radius()?;
     let mut measured = None;
     if options.needs_measuring() {
@@ -583,6 +597,21 @@ fn check_lengths(positions: &Positions<'_>, attributes: &[Attribute]) -> Result<
     Ok(())
 }
 
+/// The particles and attributes without spray, and the spray, if the settings ask for it.
+fn without_spray<'p>(
+    positions: Positions<'p>,
+    attributes: Cow<'p, [Attribute]>,
+    settings: &Settings,
+) -> (Positions<'p>, Cow<'p, [Attribute]>, Option<Spray>) {
+    if settings.spray == 0 {
+        return (positions, attributes, None);
+    }
+    let positions: OwnedPositions = positions.into();
+    let apart = ApartParticles::find(&positions, &attributes, settings);
+    let (fluid, of_fluid, spray) = apart.take_spray(&positions, &attributes, &[], settings);
+    (fluid.into(), of_fluid.into(), Some(spray))
+}
+
 /// Checks that the attributes that shape particles exist.
 fn check_required_attributes(settings: &Settings, attributes: &[Attribute]) -> Result<(), Error> {
     let radius = settings.per_particle_radius.as_ref().map(|own| (&*own.attribute, 1));
@@ -597,11 +626,11 @@ fn check_required_attributes(settings: &Settings, attributes: &[Attribute]) -> R
 
 /// Converts the mesh to absolute positions.
 fn with_absolute_positions(surface: reconstruction::FrameSurface, settings: Settings) -> Surface {
-    let reconstruction::FrameSurface { band, mesh, attributes, report } = surface;
+    let reconstruction::FrameSurface { band, mesh, attributes, spray, report } = surface;
     let Mesh { positions, normals, triangles, origin } = mesh;
     let positions = positions.into_par_iter().halved().map(|position| origin + position.as_dvec3()).collect();
     let attributes = attributes.vertices;
-    Surface { positions, normals, triangles, attributes, level_set: band, settings, report }
+    Surface { positions, normals, triangles, attributes, spray, level_set: band, settings, report }
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ pub use crate::attributes::TransferCounts;
 use crate::mesh::MeshMeasures;
 pub use crate::obstacle::{ContactStats, DepthStats};
 pub use crate::smooth::{Convergence, SmoothReport};
+use crate::spray::SprayCounts;
 pub use crate::temporal::TemporalReport;
 pub use crate::validation::{Certificate, ParticlesOutside};
 
@@ -27,6 +28,8 @@ pub struct ReconstructionReport {
     pub contact: ContactStats,
     /// How deep vertices lie inside obstacles.
     pub depth: DepthStats,
+    /// The particles that are spray, and not in the surface; `None` unless the options ask for it.
+    pub spray: Option<SprayCounts>,
     /// What islands, cavities, clipping and decimation changed.
     pub edits: EditReport,
     /// Number of stored leaves of 8³ voxels.

@@ -23,6 +23,7 @@ fn help_has_every_key_of_the_file() {
             "output" => "--out ".to_owned(),
             "formats" => "--format ".to_owned(),
             "obstacles" => "--obstacle ".to_owned(),
+            "spray_formats" => "--spray-format ".to_owned(),
             key => format!("--{}", key.replace('_', "-")),
         };
         assert!(help.out.contains(&option), "the help lacks {option}");

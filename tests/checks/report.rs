@@ -30,6 +30,7 @@ fn the_docs_have_every_field_of_the_report() {
         "--clip=0,0,0,0.4,0.4,0.4",
         "--obstacle=a.obj",
         "--attributes=age",
+        "--spray=2",
     ];
     let result = meniscus(path, &[&["convert"], &arguments[..]].concat());
     assert_eq!(result.status, 0, "{}", result.err);

@@ -30,6 +30,7 @@ mod shards; // frames divided among machines: plans, shards, verification
 mod shared; // files of real programs are converted, or refused with the expected reason
 mod sheets; // sheets of pictures: contents, and the commands that they print
 mod spacings; // the measured spacing of particles, against known values
+mod spray; // small pieces of fluid as points beside the surface
 mod stages; // stages that play the files of the frames
 mod steps; // files with several frames: LAMMPS dumps and atoms
 mod stream; // frames that arrive over time: order, limits, failures

@@ -66,6 +66,7 @@ impl Bench {
             meters_per_unit: 1.0,
             vdb: vdb::ValueEncoding::default(),
             picture: PictureOptions::default(),
+            spray: Vec::new(),
             stage: None,
         });
         fs::create_dir(&outputs.folder).expect("made");

@@ -88,11 +88,7 @@ fn changed_frames_concern_those_around_them() {
     // Also without the inputs, as far as they are where they were.
     fs::copy(folder.join("in/dam.5.ply"), folder.join("in/dam.1.ply")).expect("copied");
     let alone = meniscus(folder, &["verify", "out"]);
-    assert!(
-        alone.err.contains("dam.3: stale: dam.1.ply, which it was averaged with, has changed"),
-        "{}",
-        alone.err
-    );
+    assert!(alone.err.contains("dam.3: stale: dam.1.ply, on which it depends, has changed"), "{}", alone.err);
     // The frames of other inputs are not compared with those around them.
     fs::create_dir(folder.join("jet")).expect("made");
     for number in 1..=3 {
@@ -118,7 +114,11 @@ fn changed_frames_concern_those_around_them() {
     let broken =
         meniscus(folder, &[&["convert", "in", "--out", "broken", "--temporal", "2"][..], &OPTIONS].concat());
     assert_eq!(broken.status, 1);
-    assert!(broken.err.contains("not averaged with one of the frames around it"), "{}", broken.err);
+    assert!(
+        broken.err.contains("one of the frames around it, on which the surface depends, is left out"),
+        "{}",
+        broken.err
+    );
     let names = names_in(&folder.join("broken"));
     assert_eq!(names.iter().filter(|name| name.ends_with(".obj")).count(), 3, "{names:?}");
 }

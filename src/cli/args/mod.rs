@@ -17,7 +17,7 @@ use anyhow::{Result, bail};
 use clap::builder::TypedValueParser;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
-use meniscus_formats::{UpAxis, vdb};
+use meniscus_formats::{PointFormat, UpAxis, vdb};
 
 use crate::pipeline::{CameraChoice, METERS_PER_UNIT, OnError, OutputFormat, OutputOptions, UsdStageOptions};
 use crate::surface::options::{ColumnNames, MethodOptions, OptionGroup, expected, ranged};
@@ -242,6 +242,14 @@ option_set! {
         #[arg(long, help_heading = FORMATS, value_name = "SPEC")]
         pub(super) camera: Option<CameraChoice>,
 
+        /// Formats of the points that --spray leaves out of the surface, separated by commas [default: those of the meshes
+        /// that can hold points, else ply]
+        #[arg(
+            long, help_heading = FORMATS, value_name = "LIST", value_delimiter = ',', ignore_case = true,
+            value_parser = point_format()
+        )]
+        pub(super) spray_format: Option<Vec<PointFormat>>,
+
         /// Write a small USD stage that plays the frames; requires usdc or usda in --format, or --format vdb for
         /// volumes only
         ///
@@ -268,6 +276,11 @@ pub(super) const ANIMATION: &str = "Animation";
 /// A surface format.
 fn surface_format() -> impl TypedValueParser<Value = OutputFormat> {
     format_if(|format| !format.is_picture())
+}
+
+/// A format of points.
+fn point_format() -> impl TypedValueParser<Value = PointFormat> {
+    one_of(PointFormat::ALL.map(|format| (format, format.extension(), format.help())))
 }
 
 /// An image format.
@@ -321,6 +334,21 @@ impl FormatArgs {
         };
         check_stage(&outputs)?;
         Ok(outputs)
+    }
+
+    /// The formats of the points beside the surfaces, without duplicates: none unless the options ask for spray.
+    pub(super) fn spray(&self, method: &MethodArgs, outputs: &OutputOptions) -> Vec<PointFormat> {
+        if !method.to_options().has_spray() {
+            return Vec::new();
+        }
+        let mut formats = self.spray_format.clone().unwrap_or_else(|| outputs.default_spray());
+        let mut seen = Vec::new();
+        formats.retain(|format| {
+            let is_new = !seen.contains(format);
+            seen.push(*format);
+            is_new
+        });
+        formats
     }
 
     /// Refuses a frame rate without a stage: for commands that write no sequence files.
@@ -472,7 +500,7 @@ option_set! {
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(super) settle: Option<Duration>,
 
-        /// With --temporal: how long a frame waits for the frames around it; then it is converted without the
+        /// With --temporal or --spray: how long a frame waits for the frames around it; then it is converted without the
         /// missing ones, and again when they come [default: 30s]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(super) temporal_wait: Option<Duration>,

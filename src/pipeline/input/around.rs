@@ -1,4 +1,5 @@
-//! The frames before and after a frame, with which its surface is averaged (`--temporal`).
+//! The frames before and after a frame on which its surface depends: with which it is averaged (`--temporal`), and which
+//! say what is spray (`--spray`).
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap};

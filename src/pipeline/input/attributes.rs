@@ -23,6 +23,8 @@ pub struct AttributeRequest {
     selected: Option<AttributeSelection>,
     /// Whether ids and velocities are wanted, if there are any, to follow the particles.
     follows: bool,
+    /// Whether all attributes are wanted, for the points beside the surface.
+    keeps_all: bool,
     /// What is read of the file.
     pub(crate) reading: ReadOptions,
 }
@@ -99,7 +101,18 @@ impl AttributeRequest {
                 is_length: false,
             });
         }
-        AttributeRequest { selected: settings.attributes.clone(), follows: settings.temporal > 0, ..request }
+        AttributeRequest {
+            selected: settings.attributes.clone(),
+            follows: settings.temporal > 0,
+            keeps_all: settings.spray > 0,
+            ..request
+        }
+    }
+
+    /// What a frame needs to decide which of its particles are spray, for the frames around it.
+    pub(crate) fn for_sides(settings: &Settings) -> AttributeRequest {
+        let request = AttributeRequest::for_settings(settings);
+        AttributeRequest { selected: None, follows: true, keeps_all: false, ..request }
     }
 
     /// The per-particle radii of the chosen particles.
@@ -136,7 +149,7 @@ impl AttributeRequest {
 
     /// Whether only the positions of the chosen particles are needed.
     pub fn is_empty(&self) -> bool {
-        self.needed.is_empty() && self.selected.is_none() && !self.follows
+        self.needed.is_empty() && self.selected.is_none() && !self.follows && !self.keeps_all
     }
 
     /// Selects the requested attributes of a file, with warnings.
@@ -204,7 +217,7 @@ impl AttributeRequest {
         let is_kept = |attribute: &Attribute| {
             let is_needed = self.needed.iter().any(|needed| needed.is(attribute));
             let is_followed = self.follows && matches!(attribute.role, Role::Id | Role::Velocity);
-            is_needed || is_all || is_followed || is_named(attribute)
+            is_needed || is_all || self.keeps_all || is_followed || is_named(attribute)
         };
         let kept = (0..all.len()).filter(|index| is_kept(&all[*index]) || for_filter.contains(index));
         let kept: Vec<Attribute> = kept.filter_map(&mut load).map(attribute).collect();

@@ -7,7 +7,7 @@ use super::obstacles::ObstacleFiles;
 use super::steps::file_of;
 use crate::pipeline::error::Conflict;
 use crate::pipeline::files::identity::{FileId, canonical_path, entry_key};
-use crate::pipeline::target::outputs::{OutputOptions, output_path};
+use crate::pipeline::target::outputs::OutputOptions;
 
 /// Checks that the outputs of all planned frames (input and stem), and all other `written` files (description
 /// and path), do not replace one of `inputs`, an obstacle, or each other. The output folder must exist,
@@ -35,8 +35,7 @@ pub fn check_outputs(
     };
     let mut maker_of: HashMap<PathBuf, &Path> = HashMap::new();
     for (input, stem) in planned {
-        for &format in &options.formats {
-            let output = output_path(&options.folder, stem, format);
+        for (_, output) in options.files(stem) {
             refuse_loss(&output)?;
             if let Some(other) = maker_of.insert(entry_key(canonical_path(&output)), input) {
                 let makers = [other, input].map(|input| input.display().to_string());

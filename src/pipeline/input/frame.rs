@@ -18,7 +18,7 @@ use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::records::frame_records::FrameRecords;
 use crate::pipeline::records::record_line::{DoneRecord, OutputFile};
 use crate::pipeline::target::framing::Framing;
-use crate::pipeline::target::outputs::{OutputOptions, output_path};
+use crate::pipeline::target::outputs::OutputOptions;
 use crate::pipeline::target::picture::PictureOptions;
 use crate::pipeline::target::viewpoint::CameraChoice;
 use crate::pipeline::warning::Warning;
@@ -79,8 +79,8 @@ pub struct Frame {
     pub number: Option<i64>,
     /// Its obstacles.
     pub obstacles: Arc<ObstacleFiles>,
-    /// The frames before and after it with which its surface is averaged; as many as
-    /// [`Settings::temporal`](crate::surface::options::Settings) asks for, or fewer at the ends of a sequence.
+    /// The frames before and after it on which its surface depends; as many as its settings need, or fewer at the ends
+    /// of a sequence.
     pub around: Arc<[AroundFrame]>,
     /// The camera of its sequence, if later frames may still change it; `None` if the camera in `outputs` is
     /// used.
@@ -117,7 +117,7 @@ impl Frame {
 
     /// Whether its surface is averaged with those of other frames.
     pub(crate) fn is_averaged(&self) -> bool {
-        self.job == Job::Surface && !self.around.is_empty()
+        self.job == Job::Surface && self.settings.temporal > 0 && !self.around.is_empty()
     }
 
     /// How many frames are in memory at most while it is computed. All frames that are averaged have the same number,
@@ -142,8 +142,7 @@ impl Frame {
 
     /// The paths of the frame's outputs.
     pub fn output_paths(&self) -> Vec<PathBuf> {
-        let OutputOptions { folder, formats, .. } = &*self.outputs;
-        formats.iter().map(|&format| output_path(folder, &self.stem, format)).collect()
+        self.outputs.files(&self.stem).into_iter().map(|(_, path)| path).collect()
     }
 }
 
@@ -236,7 +235,7 @@ pub struct FrameReport {
     pub reconstruction: ReconstructionReport,
     /// The names and hashes of its obstacle files; empty without obstacles.
     pub obstacles: String,
-    /// The frames before and after it with which it is averaged.
+    /// The frames before and after it on which it depends.
     pub around: Vec<RecordedAround>,
     /// The number of boundary edges of the obstacle meshes.
     pub obstacle_open_edge_count: usize,

@@ -28,7 +28,7 @@ use crate::pipeline::input::frame::Frame;
 use crate::pipeline::records::provenance::{MadeFrom, provenance};
 use crate::pipeline::records::record_line::OutputFile;
 use crate::pipeline::scheduler::Scheduler;
-use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, VDB_HALF_WIDTH_VOXELS, output_path};
+use crate::pipeline::target::outputs::{OutputFormat, OutputKind, OutputOptions, VDB_HALF_WIDTH_VOXELS};
 use crate::pipeline::target::picture::{PictureOptions, PictureScene, encode_picture, up_of, velocities};
 use crate::pipeline::warning::Warning;
 
@@ -38,23 +38,23 @@ pub(crate) struct WrittenFiles {
     pub(crate) files: Vec<OutputFile>,
 }
 
-/// Writes a frame in every format with `write`. All files are complete before the first gets its name. Creates
+/// Writes every file of a frame with `write`. All files are complete before the first gets its name. Creates
 /// their folder if it is missing.
 ///
 /// # Errors
 /// The first file that cannot be written.
 pub(crate) fn write_files(
     frame: &Frame,
-    mut write: impl FnMut(OutputFormat, &mut BufWriter<&File>) -> meniscus_formats::Result<()>,
+    mut write: impl FnMut(OutputKind, &mut BufWriter<&File>) -> meniscus_formats::Result<()>,
 ) -> Result<WrittenFiles, FrameError> {
-    let OutputOptions { folder, formats, .. } = &*frame.outputs;
+    let OutputOptions { folder, .. } = &*frame.outputs;
     let fail = |path: &Path, error| FrameError::file(path, Stage::Write, error);
     fs::create_dir_all(folder).map_err(|error| fail(folder, error.into()))?;
-    let write_one = |&format: &OutputFormat| {
-        let path = output_path(folder, &frame.stem, format);
-        StagedFile::write(&path, |out| write(format, out)).map_err(|error| fail(&path, error))
+    let write_one = |(kind, path): (OutputKind, PathBuf)| {
+        StagedFile::write(&path, |out| write(kind, out)).map_err(|error| fail(&path, error))
     };
-    let staged: Vec<StagedFile> = formats.iter().map(write_one).collect::<Result<_, _>>()?;
+    let files = frame.outputs.files(&frame.stem).into_iter();
+    let staged: Vec<StagedFile> = files.map(write_one).collect::<Result<_, _>>()?;
     // The hashes are those of the bytes on disk, not of those in memory.
     let hash = |file: &StagedFile| InputFile::open(file.written_path())?.hash();
     let hashed = |file: &StagedFile| hash(file).map_err(|error| fail(file.path(), error.into()));
@@ -234,7 +234,7 @@ fn band_grids<'a>(voxels: &'a [Voxels<'a>]) -> Vec<BandGrid<'a>> {
     voxels.iter().map(grid).collect()
 }
 
-fn file_role(role: Role) -> Option<AttributeRole> {
+pub(super) fn file_role(role: Role) -> Option<AttributeRole> {
     match role {
         Role::Velocity => Some(AttributeRole::Velocity),
         Role::Acceleration => Some(AttributeRole::Acceleration),

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use meniscus_formats::compression::read_head;
 use meniscus_formats::container::is_container;
+use meniscus_formats::provenance::{CONTENTS, SPRAY};
 use meniscus_formats::{
     Content, Format, Neighbor, OutputFormat, has_columns, looks_like_particles, neighbor, probe,
     read_provenance,
@@ -17,7 +18,8 @@ use crate::pipeline::input::frame::Job;
 use crate::pipeline::input::level_set_file::is_level_set;
 use crate::pipeline::input::source::promises_particles;
 use crate::pipeline::input::steps::{ContainerContent, content_of_container};
-use crate::pipeline::target::outputs::{OutputOptions, output_path};
+use crate::pipeline::output::spray_files::SPRAY_CLASS;
+use crate::pipeline::target::outputs::{OutputKind, OutputOptions, has_spray_name};
 use crate::surface::options::ColumnNames;
 
 /// The kind of a file, by its first bytes.
@@ -104,13 +106,18 @@ pub(crate) fn irreplaceable_output(
     options: &OutputOptions,
     job: Job,
 ) -> Result<Option<PathBuf>, (PathBuf, io::Error)> {
-    for &format in &options.formats {
-        // Programs for scanning write points as OBJ; this one writes meshes only.
-        let may_be_data = format == OutputFormat::Obj || format.particles().is_some();
-        if !may_be_data && !matches!(format.content(), Content::LevelSet) {
+    for (kind, output) in options.files(stem) {
+        let may_be_data = match kind {
+            // Programs for scanning write points as OBJ; this one writes meshes only.
+            OutputKind::Frame(format) => {
+                let is_level_set = matches!(format.content(), Content::LevelSet);
+                format == OutputFormat::Obj || format.particles().is_some() || is_level_set
+            }
+            OutputKind::Spray(_) => true,
+        };
+        if !may_be_data {
             continue;
         }
-        let output = output_path(&options.folder, stem, format);
         match is_irreplaceable(&output, job) {
             Ok(false) => {}
             Ok(true) => return Ok(Some(output)),
@@ -151,8 +158,25 @@ fn head_and_name(path: &Path) -> io::Result<(Vec<u8>, String)> {
     Ok((read_head(open_regular(path)?, HEAD_BYTES)?, name))
 }
 
-/// The content of a file whose first bytes contain this program's provenance.
+/// Whether a file has points that this program wrote beside a surface; false if it cannot be read.
+pub fn is_spray(path: &Path) -> bool {
+    has_spray_name(path) && head_and_name(path).is_ok_and(|(head, name)| is_spray_head(&head, &name))
+}
+
+/// Whether these are the first bytes of points beside a surface. Formats without provenance have their attribute.
+fn is_spray_head(head: &[u8], name: &str) -> bool {
+    match probe(head, name).kind.format().and_then(Format::output) {
+        Some(format) => read_provenance(format, head)
+            .is_ok_and(|recorded| recorded.iter().any(|(key, value)| key == CONTENTS && value == SPRAY)),
+        None => head.windows(SPRAY_CLASS.len()).any(|bytes| bytes == SPRAY_CLASS.as_bytes()),
+    }
+}
+
+/// The content of a file whose first bytes contain this program's provenance, or of points beside a surface.
 pub(crate) fn own_content(head: &[u8], name: &str) -> Option<SniffedContent> {
+    if has_spray_name(Path::new(name)) && is_spray_head(head, name) {
+        return Some(SniffedContent::OwnOutput);
+    }
     let format = probe(head, name).kind.format().and_then(Format::output);
     let format = format.filter(|format| !format.is_picture())?;
     // A damaged head contains no provenance.

@@ -7,7 +7,8 @@
 use std::io::Read;
 use std::path::Path;
 
-use meniscus_formats::{WriteOption, read_provenance};
+use meniscus_formats::provenance::{CONTENTS, PARTICLES, SPRAY};
+use meniscus_formats::{PointFormat, WriteOption, read_provenance};
 use twox_hash::XxHash3_64;
 
 use crate::surface::options::{MethodOptions, OptionGroup, Pairs, ReadOptions, Settings};
@@ -54,6 +55,53 @@ pub(crate) fn provenance(
     MadeFrom { input_hash, obstacles, around }: MadeFrom<'_>,
     format: OutputFormat,
 ) -> Vec<(String, String)> {
+    let mut pairs = made_from_around(frame, input_hash, around);
+    pairs.extend(job_pairs(&frame.job, &frame.settings, format));
+    if frame.job != Job::Particles {
+        pairs.extend(obstacle_pairs(&frame.settings, obstacles));
+        pairs.extend(option_pairs(&frame.outputs, format));
+    }
+    owned(if format == OutputFormat::Stl { condensed(pairs) } else { pairs })
+}
+
+/// The provenance of the points beside the frame's surface.
+pub(crate) fn spray_provenance(
+    frame: &Frame,
+    MadeFrom { input_hash, around, .. }: MadeFrom<'_>,
+    format: PointFormat,
+) -> Vec<(String, String)> {
+    let mut pairs = made_from_around(frame, input_hash, around);
+    pairs.push((CONTENTS, SPRAY.to_owned()));
+    pairs.extend(frame.settings.pairs(|name| OF_SPRAY.contains(&name)));
+    pairs.extend(points_option_pairs(&frame.outputs, format));
+    owned(pairs)
+}
+
+/// The settings that affect which particles are spray, and their points.
+const OF_SPRAY: [&str; 9] = [
+    "spacing",
+    "radius_init",
+    "columns",
+    "where",
+    "radius_attribute",
+    "radius_scale",
+    "velocity_scale",
+    "spray",
+    "spray_keep",
+];
+
+/// The options of points in `format`.
+fn points_option_pairs(options: &OutputOptions, format: PointFormat) -> Pairs {
+    let [up, unit] =
+        [WriteOption::Up, WriteOption::MetersPerUnit].map(|option| (option.name(), options.value(option)));
+    match format {
+        PointFormat::Usda | PointFormat::Usdc => vec![up, unit],
+        PointFormat::Abc => vec![up],
+        PointFormat::Ply | PointFormat::Vtp | PointFormat::Bgeo | PointFormat::Npy => Pairs::new(),
+    }
+}
+
+fn made_from_around(frame: &Frame, input_hash: u128, around: &[RecordedAround]) -> Pairs {
     let mut pairs = made_from(&frame.input, input_hash);
     if !around.is_empty() {
         let text = |RecordedAround { steps, name, hash, obstacles }: &RecordedAround| {
@@ -62,12 +110,7 @@ pub(crate) fn provenance(
         };
         pairs.push(("around", around.iter().map(text).collect::<Vec<_>>().join(", ")));
     }
-    pairs.extend(job_pairs(&frame.job, &frame.settings, format));
-    if frame.job != Job::Particles {
-        pairs.extend(obstacle_pairs(&frame.settings, obstacles));
-        pairs.extend(option_pairs(&frame.outputs, format));
-    }
-    owned(if format == OutputFormat::Stl { condensed(pairs) } else { pairs })
+    pairs
 }
 
 /// The settings that affect the output of a frame in `format`.
@@ -192,6 +235,12 @@ pub(crate) fn recorded_settings(
         pairs.extend(job_pairs(job, settings, format));
         pairs.extend(option_pairs(outputs, format));
     }
+    if !outputs.spray.is_empty() {
+        let mut formats: Vec<&str> = outputs.spray.iter().map(|format| format.extension()).collect();
+        formats.sort_unstable();
+        pairs.push(("spray_formats", formats.join(",")));
+        pairs.extend(outputs.spray.iter().flat_map(|format| points_option_pairs(outputs, *format)));
+    }
     if !obstacles.is_empty() {
         pairs.push(("void_threshold", settings.void_threshold.to_string()));
     }
@@ -227,10 +276,6 @@ pub fn is_own_output(path: &Path) -> bool {
 pub fn are_particles(recorded: &[(String, String)]) -> bool {
     recorded.iter().any(|(name, value)| name == CONTENTS && value == PARTICLES)
 }
-
-/// The name in provenance whose value [`PARTICLES`] marks an output that contains particles, not a surface.
-const CONTENTS: &str = "contents";
-const PARTICLES: &str = "particles";
 
 /// The options of an output in `format`.
 fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Pairs {

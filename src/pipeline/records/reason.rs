@@ -95,7 +95,7 @@ impl fmt::Display for Reason {
                 return write!(f, "its output {} is missing or was changed", output.display());
             }
             Reason::FramesAround => {
-                "it waits for the frames around it, with which it is averaged: see --temporal-wait"
+                "it waits for the frames around it, on which it depends: see --temporal-wait"
             }
             Reason::FramesAroundChanged => {
                 "the frames before or after it have changed since it was converted"

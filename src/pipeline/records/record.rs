@@ -284,6 +284,7 @@ fn measured(report: &FrameReport) -> Object {
         ("cfl_exceeded", json!(smoothing.cfl_exceeded_count)),
         ("temporal", json!((*temporal != TemporalReport::default()).then_some(temporal))),
     ]);
+    measured.extend(reconstruction.spray.iter().map(|spray| ("spray", json!(spray))));
     measured.extend(reconstruction.transfer.iter().map(|transfer| ("attributes", json!(transfer))));
     measured.extend([
         ("seconds", json!(report.seconds)),

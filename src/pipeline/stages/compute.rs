@@ -25,6 +25,8 @@ use crate::surface::options::{ReadOptions, Settings};
 use crate::surface::reconstruction::FrameSurface;
 use crate::surface::temporal::{OtherFrame, TimedFrame, with_particles};
 
+use super::smoothed::SmoothedKey;
+use super::spray::{FrameInSequence, SeparatedCloud, sides_around, with_around};
 use super::{
     FinishedFrame, InputInfo, Outlet, Passed, ReadContent, StageContext, Stages, WorkItem, outcome_of,
 };
@@ -129,7 +131,9 @@ pub(super) fn smooth_stage(
                 hash: info.input.hash,
                 obstacles: info.obstacles.recorded.clone(),
             };
-            shared.keep(content, &frame.settings, timed);
+            let sequence = with_around(frame, info.input.hash, &info.around);
+            let sides = sides_around(&sequence, 0, &frame.settings);
+            shared.keep(SmoothedKey { content, sides }, &frame.settings, timed);
         }
         info.computing = None;
         Ok(smoothed)
@@ -146,14 +150,15 @@ pub(super) fn contour_stage(
 ) -> Result<Passed<FrameSurface>, FrameError> {
     content.try_map(|Smoothed { mut staged, timed }| {
         let mut around = std::mem::take(&mut info.around);
+        let (spray, info_hash) = (info.noted.spray.take(), info.input.hash);
         let (mut other_count, mut warnings) = (0, Vec::new());
         let work = || {
             if let Some(timed) = &timed {
-                let others = others(shared, frame, &mut around, &mut warnings);
+                let others = others(shared, (frame, info_hash), &mut around, &mut warnings);
                 other_count = with_particles(&others).count();
                 staged.average(timed, &others, &frame.settings);
             }
-            method::contour(staged, &frame.settings, &frame.outputs)
+            Ok(method::contour(staged, &frame.settings, &frame.outputs)?.with_spray(spray))
         };
         let surface = shared.measured(Stage::Contour, frame, info, work)?;
         if other_count > 0 {
@@ -172,15 +177,20 @@ pub(super) fn contour_stage(
 /// The frames that a frame is averaged with. One that cannot be made into a level set is left out, with a warning.
 fn others(
     shared: &StageContext<'_>,
-    frame: &Frame,
+    (frame, hash): (&Frame, u128),
     around: &mut [FoundFrame],
     warnings: &mut Vec<Warning>,
 ) -> Vec<OtherFrame> {
     let mut others = Vec::new();
-    for found in around {
+    let all = around.to_vec();
+    let sequence = with_around(frame, hash, &all);
+    let is_averaged = |found: &&mut FoundFrame| found.frame.steps.unsigned_abs() <= frame.settings.temporal;
+    for found in around.iter_mut().filter(is_averaged) {
         let Some(content) = &found.content else { continue };
-        let kept = shared.smoothed.find(content, &frame.settings);
-        let compute = || smoothed_alone(shared, frame, (&found.frame, content));
+        let sides = sides_around(&sequence, found.frame.steps, &frame.settings);
+        let key = SmoothedKey { content: content.clone(), sides };
+        let kept = shared.smoothed.find(&key, &frame.settings);
+        let compute = || smoothed_alone(shared, frame, (&found.frame, &key), &sequence);
         let made =
             kept.map_or_else(|| FrameError::catch(&content.path, Stage::Rasterize, compute).flatten(), Ok);
         match made {
@@ -188,7 +198,7 @@ fn others(
             Err(error) => {
                 warnings.push(not_averaged(&error));
                 // Otherwise another attempt would end in the same way.
-                if !is_of_content(&error.cause, content) {
+                if !is_of_content(&error.cause, &content.obstacles) {
                     found.content = None;
                 }
             }
@@ -197,11 +207,12 @@ fn others(
     others
 }
 
-/// Whether the fault is in the content of files, so that every attempt on every machine finds it.
-fn is_of_content(cause: &Cause, content: &FrameContent) -> bool {
+/// Whether the fault is in the content of files, so that every attempt on every machine finds it. `obstacles` are those of
+/// the frame, as recorded.
+pub(super) fn is_of_content(cause: &Cause, obstacles: &str) -> bool {
     match cause {
         Cause::File(error) => is_lasting(error),
-        Cause::Obstacle(_) if content.obstacles == MISSING_OBSTACLES => true,
+        Cause::Obstacle(_) if obstacles == MISSING_OBSTACLES => true,
         Cause::Obstacle(error) => error.source.as_ref().is_some_and(is_lasting),
         cause => matches!(cause, Cause::Missing(_) | Cause::VoxelTooSmall(_) | Cause::Panic(_)),
     }
@@ -215,9 +226,11 @@ fn is_lasting(error: &Error) -> bool {
 fn smoothed_alone(
     shared: &StageContext<'_>,
     frame: &Frame,
-    (around, content): (&AroundFrame, &FrameContent),
+    (around, key): (&AroundFrame, &SmoothedKey),
+    sequence: &[FrameInSequence<'_>],
 ) -> Result<Arc<TimedFrame>, FrameError> {
-    let (path, settings) = (&content.path, &frame.settings);
+    let (content, settings) = (&key.content, &frame.settings);
+    let path = &content.path;
     let failed = |cause| FrameError { path: path.clone(), during: Stage::Read, cause };
     let read = read_frame_unchanged(path, shared.options.index_policy);
     let read = read.map_err(|error| failed(Cause::File(error)))?;
@@ -226,6 +239,15 @@ fn smoothed_alone(
     };
     let loaded = LoadedFrame::of_bytes(path, Some(around.number), &bytes, settings)?;
     drop(bytes);
+    // Its own conversion warns of what is wrong with its surroundings.
+    let loaded = loaded.try_map_cloud(|cloud| {
+        let SeparatedCloud { fluid, failures, .. } =
+            shared.without_spray(cloud, settings, sequence, around.steps);
+        match failures.into_iter().find(|(_, error)| !is_of_content(&error.cause, "")) {
+            Some((_, error)) => Err(error),
+            None => Ok(fluid),
+        }
+    })?;
     let moving = loaded.moving_particles();
     let limit = (shared.options.memory_bytes, frame.held_count());
     let smoothed = loaded.smooth(settings, &frame.obstacles, &frame.outputs, limit);
@@ -235,15 +257,15 @@ fn smoothed_alone(
     }
     let timed = smoothed.frame.timed(moving, settings);
     let timed = timed.ok_or_else(|| failed(Cause::Missing("it has no level set in memory".to_owned())))?;
-    shared.keep(content.clone(), settings, &timed);
+    shared.keep(key.clone(), settings, &timed);
     Ok(timed)
 }
 
 impl StageContext<'_> {
     /// Keeps a smoothed frame for those around it, also if several threads work on frames in another order.
-    fn keep(&self, content: FrameContent, settings: &Arc<Settings>, timed: &Arc<TimedFrame>) {
+    fn keep(&self, key: SmoothedKey, settings: &Arc<Settings>, timed: &Arc<TimedFrame>) {
         let count = 2 * settings.temporal as usize + self.options.pool.current_num_threads();
-        self.smoothed.keep(content, settings, Arc::clone(timed), count);
+        self.smoothed.keep(key, settings, Arc::clone(timed), count);
     }
 }
 

@@ -31,6 +31,7 @@
 mod compute;
 mod read;
 mod smoothed;
+mod spray;
 mod write;
 
 use std::collections::BTreeMap;
@@ -56,9 +57,11 @@ use crate::pipeline::scheduler::{Scheduler, TaskQueue};
 use crate::pipeline::semaphore::{Permit, Semaphore};
 use crate::pipeline::warning::Warning;
 use crate::surface::reconstruction::MemoryPlan;
+use crate::surface::spray::Spray;
 
 use compute::{contour_stage, rasterize_stage, smooth_stage};
 use smoothed::{Computing, Gate, SmoothedFrames, User};
+use spray::KnownSides;
 
 /// What to do when a frame fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -236,6 +239,7 @@ struct StageContext<'env> {
     budget: Budget,
     smoothed: SmoothedFrames,
     hashes: KnownHashes,
+    sides: KnownSides,
     /// The place of the first frame that failed.
     first_failed: AtomicUsize,
 }
@@ -282,12 +286,16 @@ struct ObstacleSummary {
     open_edge_count: usize,
 }
 
-/// Warnings about the input.
+/// What reading a frame leaves for its end.
 #[derive(Default)]
 struct InputNotes {
     warnings: Vec<Warning>,
     /// The name of the velocity attribute, if the file has one and no option requests it.
     unused_velocity: Option<String>,
+    /// The particles that are not in the surface, if the settings ask for them.
+    spray: Option<Spray>,
+    /// The frames around that could not be read, and may be at the next attempt: by how many frames each is later.
+    unread: Vec<i32>,
 }
 
 /// The result of reading.
@@ -323,7 +331,7 @@ struct FinishedFrame<K> {
     outcome: Outcome,
 }
 
-/// Smoothed frames that are kept for others may take this fraction of the memory.
+/// Smoothed frames that are kept for others may take this fraction of the memory, and so may the sides of particles.
 const KEPT_SHARE: u64 = 4;
 
 impl<'env> StageContext<'env> {
@@ -335,6 +343,7 @@ impl<'env> StageContext<'env> {
             budget,
             smoothed: SmoothedFrames::new(options.memory_bytes / KEPT_SHARE),
             hashes: KnownHashes::default(),
+            sides: KnownSides::new(options.memory_bytes / KEPT_SHARE),
             first_failed: AtomicUsize::new(usize::MAX),
         }
     }

@@ -14,7 +14,7 @@ use twox_hash::XxHash3_128;
 use crate::pipeline::budget::Reservation;
 use crate::pipeline::error::{Cause, Conflict, FrameError, Stage};
 use crate::pipeline::files::input_file::{InputFile, read_unchanged};
-use crate::pipeline::input::around::{self, FoundFrame, find_around};
+use crate::pipeline::input::around::{self, FoundFrame, find_around, not_averaged};
 use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::container::is_container_file;
 use crate::pipeline::input::frame::{Frame, InputState, Job, Outcome, Seconds};
@@ -28,9 +28,12 @@ use crate::pipeline::input::steps::{reading_bytes, step_of};
 use crate::pipeline::method;
 use crate::pipeline::records::content::irreplaceable_output;
 use crate::pipeline::records::provenance::MadeFrom;
-use crate::pipeline::warning::Warning;
+use crate::pipeline::warning::{InputWarning, Warning};
 use crate::surface::reconstruction::MemoryPlan;
+use crate::surface::spray::Spray;
 
+use super::compute::is_of_content;
+use super::spray::{SeparatedCloud, with_around};
 use super::{
     FinishedFrame, InputInfo, InputNotes, ObstacleSummary, ReadContent, Stages, WorkItem, outcome_of,
 };
@@ -76,7 +79,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         // This is 0 if the metadata cannot be read: then the file cannot be read later either.
         let file_bytes = reading_bytes(&frame.input, shared.options.index_policy);
         let obstacle_bytes = frame.obstacles.loading_bytes(frame.number);
-        let bytes = file_bytes.saturating_mul(reading_memory(&frame.job)).saturating_add(obstacle_bytes);
+        let bytes = file_bytes.saturating_mul(reading_memory(frame)).saturating_add(obstacle_bytes);
         let mut memory = shared.budget.reserve_input(bytes);
         shared.begin(frame, Stage::Read);
         let start = Instant::now();
@@ -94,7 +97,9 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let (obstacles, needed_bytes) = match &content {
             ReadContent::Particles(_) => (ObstacleSummary::default(), bytes),
             ReadContent::Surface { input, obstacles, plan } => {
-                let needed_bytes = self.account_for(frame, input, obstacles, plan, &mut memory);
+                let spray_bytes = noted.spray.as_ref().map_or(0, Spray::size_bytes) as u64;
+                let given_bytes = input.size_bytes().saturating_add(spray_bytes);
+                let needed_bytes = self.account_for(frame, given_bytes, obstacles, plan, &mut memory);
                 let (recorded, open_edge_count) = (obstacles.recorded.clone(), obstacles.open_edge_count);
                 (ObstacleSummary { recorded, open_edge_count }, needed_bytes)
             }
@@ -105,12 +110,13 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         Ok((content, info))
     }
 
-    /// Reduces the reservation of a frame that was read to what it holds until it is computed. Returns the memory
+    /// Reduces the reservation of a frame that was read to what it holds until it is computed: `given_bytes`, and its own
+    /// obstacles. Returns the memory
     /// that all its stages need, in bytes.
     fn account_for(
         &self,
         frame: &Frame,
-        given: &FrameInput,
+        given_bytes: u64,
         obstacles: &FrameObstacles,
         plan: &MemoryPlan,
         memory: &mut Reservation<'_>,
@@ -120,7 +126,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         // includes their memory, so no other frame can reserve it in between.
         let standing_bytes = obstacles.all_bytes - obstacles.own_bytes;
         self.shared.budget.set_shared(Arc::as_ptr(&frame.obstacles).addr(), standing_bytes);
-        let given_bytes = given.size_bytes().saturating_add(obstacles.own_bytes);
+        let given_bytes = given_bytes.saturating_add(obstacles.own_bytes);
         if let Some(observer) = self.shared.options.observer {
             observer.planned(frame, plan, given_bytes);
         }
@@ -155,7 +161,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         self.end_if_done(frame, input, "", &[])?;
         let warnings = std::mem::take(&mut file.warnings).into_iter().chain(other_grids).collect();
         let given = FrameInput::LevelSet(Box::new(LevelSetInput::new(file, &frame.job)));
-        let noted = InputNotes { warnings, unused_velocity: None };
+        let noted = InputNotes { warnings, ..InputNotes::default() };
         let found = FoundObstacles::default();
         self.parse_and_plan(order, frame, move || Ok((given, noted)), (found, Vec::new()), input)
     }
@@ -193,7 +199,8 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                     let failed = |cause| FrameError { path: path.clone(), during: Stage::Read, cause };
                     let particles = particles.chosen_by(wanted.reading.filter.as_ref()).map_err(failed)?;
                     let warnings = [particles.warnings().map_err(failed)?, left_out_warnings].concat();
-                    let noted = InputNotes { warnings, unused_velocity: particles.unused_velocity() };
+                    let unused_velocity = particles.unused_velocity();
+                    let noted = InputNotes { warnings, unused_velocity, spray: None, unread: Vec::new() };
                     Ok((FrameInput::OnDisk(Box::new(particles)), noted))
                 };
                 return self.parse_and_plan(order, frame, choose, (obstacles, around), input);
@@ -201,12 +208,20 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         }
         let (bytes, input) = self.read_whole(frame)?;
         self.end_if_done(frame, input, &obstacles.recorded(), &around)?;
-        let path = frame.input.clone();
+        let (given, others) = (frame.clone(), around.clone());
         let parse = move || {
-            let read = parse_particles(&path, &bytes, &wanted)?;
-            let warnings = [read.warnings, left_out_warnings].concat();
-            let noted = InputNotes { warnings, unused_velocity: read.unused_velocity };
-            Ok((FrameInput::InMemory(read.cloud), noted))
+            let read = parse_particles(&given.input, &bytes, &wanted)?;
+            drop(bytes);
+            let mut warnings = [read.warnings, left_out_warnings].concat();
+            let sequence = with_around(&given, input.hash, &others);
+            let SeparatedCloud { fluid, spray, lacks_ids, failures } =
+                shared.without_spray(read.cloud, &given.settings, &sequence, 0);
+            warnings.extend(lacks_ids.then_some(Warning::Input(InputWarning::SprayWithoutIds)));
+            warnings.extend(failures.iter().map(|(_, error)| not_averaged(error)));
+            let may_be_read = failures.iter().filter(|(_, error)| !is_of_content(&error.cause, ""));
+            let unread = may_be_read.map(|(steps, _)| *steps).collect();
+            let noted = InputNotes { warnings, unused_velocity: read.unused_velocity, spray, unread };
+            Ok((FrameInput::InMemory(fluid), noted))
         };
         self.parse_and_plan(order, frame, parse, (obstacles, around), input)
     }
@@ -217,7 +232,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         order: usize,
         frame: &Frame,
         parse: impl FnOnce() -> Result<(FrameInput, InputNotes), FrameError> + Send + 'env,
-        (found, around): (FoundObstacles, Vec<FoundFrame>),
+        (found, mut around): (FoundObstacles, Vec<FoundFrame>),
         input: InputState,
     ) -> Result<ReadResult, Outcome> {
         let memory_bytes = self.shared.options.memory_bytes;
@@ -243,6 +258,10 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             Ok((ReadContent::Surface { input: Box::new(given), obstacles, plan }, noted))
         });
         let (content, noted) = planned.map_err(outcome_of)?;
+        // Otherwise another attempt would end in the same way.
+        for found in around.iter_mut().filter(|found| noted.unread.contains(&found.frame.steps)) {
+            found.content = None;
+        }
         Ok(ReadResult { content, input, noted, around })
     }
 
@@ -295,8 +314,10 @@ fn unreadable(frame: &Frame, error: impl Into<meniscus_formats::Error>) -> Outco
 }
 
 /// The memory for reading a file, as a multiple of its size: its bytes, and the parsed data.
-fn reading_memory(job: &Job) -> u64 {
-    match job {
+fn reading_memory(frame: &Frame) -> u64 {
+    match frame.job {
+        // The parsed data include all attributes, and are divided; or a frame around is read and parsed beside them.
+        Job::Surface if frame.settings.spray > 0 => 4,
         Job::Surface => 2,
         // The parsed data include all attributes.
         Job::Particles => 3,

@@ -7,8 +7,8 @@
 //! A frame is kept while others that may need it are in flight, and not for longer than the memory allows. The gate
 //! before the contour stage holds a frame while the pipeline computes one of those around it; it never waits for a
 //! frame that might itself wait for memory. If a frame around is not in the pipeline, because it is done already or
-//! belongs to another shard, the contour stage computes it. What is computed depends on the files alone, so all of
-//! these ways give the same bytes.
+//! belongs to another shard, the contour stage computes it. What is computed depends on the files that a `SmoothedKey`
+//! names, and on nothing else, so all of these ways give the same bytes.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -41,8 +41,17 @@ struct State {
     kept: VecDeque<Kept>,
 }
 
+/// What a smoothed frame is made from, besides the settings.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct SmoothedKey {
+    pub(super) content: FrameContent,
+    /// The frames around it that say which of its particles are spray: by how many frames each is later, and the hash of
+    /// its bytes.
+    pub(super) sides: Vec<(i32, u128)>,
+}
+
 struct Kept {
-    content: FrameContent,
+    key: SmoothedKey,
     settings: Arc<Settings>,
     frame: Arc<TimedFrame>,
 }
@@ -77,25 +86,25 @@ impl SmoothedFrames {
     /// Keeps a frame, with up to `count` others.
     pub(super) fn keep(
         &self,
-        content: FrameContent,
+        key: SmoothedKey,
         settings: &Arc<Settings>,
         frame: Arc<TimedFrame>,
         count: usize,
     ) {
         let mut state = self.state();
         // A frame that was smoothed alone may come through the pipeline, too.
-        state.kept.retain(|kept| kept.content != content || !Arc::ptr_eq(&kept.settings, settings));
-        state.kept.push_back(Kept { content, settings: Arc::clone(settings), frame });
+        state.kept.retain(|kept| kept.key != key || !Arc::ptr_eq(&kept.settings, settings));
+        state.kept.push_back(Kept { key, settings: Arc::clone(settings), frame });
         let mut bytes: u64 = state.kept.iter().map(|kept| kept.frame.size_bytes()).sum();
         while state.kept.len() > count + 1 || state.kept.len() > 1 && bytes > self.limit_bytes {
             bytes -= state.kept.pop_front().map_or(0, |kept| kept.frame.size_bytes());
         }
     }
 
-    /// The frame that was made from this content with these settings, if it is kept.
-    pub(super) fn find(&self, content: &FrameContent, settings: &Arc<Settings>) -> Option<Arc<TimedFrame>> {
+    /// The frame that was made from this with these settings, if it is kept.
+    pub(super) fn find(&self, key: &SmoothedKey, settings: &Arc<Settings>) -> Option<Arc<TimedFrame>> {
         let state = self.state();
-        let is_same = |kept: &&Kept| kept.content == *content && Arc::ptr_eq(&kept.settings, settings);
+        let is_same = |kept: &&Kept| kept.key == *key && Arc::ptr_eq(&kept.settings, settings);
         state.kept.iter().find(is_same).map(|kept| Arc::clone(&kept.frame))
     }
 
@@ -180,8 +189,9 @@ mod tests {
         Arc::new(Settings::paper(0.1, &MethodOptions::default()).expect("settings"))
     }
 
-    fn content(name: &str) -> FrameContent {
-        FrameContent { path: name.into(), hash: 1, obstacles: String::new() }
+    fn key(name: &str) -> SmoothedKey {
+        let content = FrameContent { path: name.into(), hash: 1, obstacles: String::new() };
+        SmoothedKey { content, sides: vec![(1, 7)] }
     }
 
     /// A frame with this number of particles.
@@ -204,15 +214,20 @@ mod tests {
             let frames = SmoothedFrames::new(limit_bytes);
             let user = frames.user();
             for name in ["a", "b", "c", "d"] {
-                frames.keep(content(name), &settings, frame(10), count);
+                frames.keep(key(name), &settings, frame(10), count);
             }
             let mut kept = vec!["a", "b", "c", "d"];
-            kept.retain(|name| frames.find(&content(name), &settings).is_some());
+            kept.retain(|name| frames.find(&key(name), &settings).is_some());
             assert_eq!(kept, expected);
-            let other_content = FrameContent { hash: 2, ..content("d") };
-            assert!(frames.find(&other_content, &settings).is_none());
+            let other_content = FrameContent { hash: 2, ..key("d").content };
+            for other in [
+                SmoothedKey { content: other_content, ..key("d") },
+                SmoothedKey { sides: Vec::new(), ..key("d") },
+            ] {
+                assert!(frames.find(&other, &settings).is_none());
+            }
             drop(user);
-            assert!(frames.find(&content("d"), &settings).is_none());
+            assert!(frames.find(&key("d"), &settings).is_none());
         }
     }
 

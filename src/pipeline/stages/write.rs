@@ -16,9 +16,10 @@ use crate::pipeline::input::around;
 use crate::pipeline::input::frame::{Frame, FrameReport, Job, Outcome};
 use crate::pipeline::memory::peak_memory_bytes;
 use crate::pipeline::output::particle_files::{particle_warnings, write_particles_as};
+use crate::pipeline::output::spray_files::{SPRAY_CLASS, points_of, write_points};
 use crate::pipeline::output::writing::{WrittenFiles, surface_warnings, write_files, write_surface_as};
-use crate::pipeline::records::provenance::{MadeFrom, provenance};
-use crate::pipeline::target::outputs::OutputFormat;
+use crate::pipeline::records::provenance::{MadeFrom, provenance, spray_provenance};
+use crate::pipeline::target::outputs::OutputKind;
 use crate::pipeline::target::picture::PictureScene;
 use crate::pipeline::warning::Warning;
 use crate::surface::reconstruction::FrameSurface;
@@ -57,7 +58,9 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         self.shared.begin(frame, Stage::Write);
         let written = FrameError::catch(&frame.input, Stage::Write, || {
             self.shared.refuse_links(&frame.outputs.folder)?;
-            let write = |format: OutputFormat, out: &mut BufWriter<&File>| {
+            let write = |kind: OutputKind, out: &mut BufWriter<&File>| {
+                // A conversion of particles has no spray.
+                let OutputKind::Frame(format) = kind else { return Ok(()) };
                 let made_from = MadeFrom { input_hash: info.input.hash, ..MadeFrom::default() };
                 let provenance = provenance(frame, made_from, format);
                 write_particles_as(particles, format, &provenance, out)
@@ -96,8 +99,16 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                 around: &around,
             };
             let mut preview_time = Duration::ZERO;
-            let written = write_files(frame, |format, out| {
+            let points = surface.spray.as_ref().map(points_of).unwrap_or_default();
+            let written = write_files(frame, |kind, out| {
                 let start = Instant::now();
+                let format = match kind {
+                    OutputKind::Frame(format) => format,
+                    OutputKind::Spray(format) => {
+                        let provenance = spray_provenance(frame, made_from, format);
+                        return write_points(&points, format, &frame.outputs, &provenance, out);
+                    }
+                };
                 if format.is_picture() {
                     self.shared.begin(frame, Stage::Preview);
                 }
@@ -111,7 +122,11 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             })?;
             info.seconds.write = start.elapsed().saturating_sub(preview_time).as_secs_f64();
             info.seconds.preview = preview_time.as_secs_f64();
-            let warnings = surface_warnings(&surface, &frame.outputs, &frame.settings);
+            let mut warnings = surface_warnings(&surface, &frame.outputs, &frame.settings);
+            // The documentation says how formats store the classes.
+            let of_points = frame.outputs.spray.iter().flat_map(|format| format.notes(&points));
+            let of_points = of_points.filter(|note| !note.starts_with(SPRAY_CLASS));
+            warnings.extend(of_points.map(Warning::Sentence));
             let reconstruction = surface.report.clone();
             record_frame(frame, FrameReport { reconstruction, ..base_report(frame, info, written, warnings) })
         });
@@ -149,7 +164,7 @@ fn base_report(
     warnings: Vec<Warning>,
 ) -> FrameReport {
     let ObstacleSummary { recorded, open_edge_count } = info.obstacles;
-    let InputNotes { warnings: of_input, unused_velocity } = info.noted;
+    let InputNotes { warnings: of_input, unused_velocity, .. } = info.noted;
     let has_attributes = frame.outputs.formats.iter().any(|format| format.has_attributes());
     FrameReport {
         input: info.input,

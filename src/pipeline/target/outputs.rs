@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-pub use meniscus_formats::OutputFormat;
 use meniscus_formats::{MeshOptions, UpAxis, WriteOption, vdb};
+pub use meniscus_formats::{OutputFormat, PointFormat};
 
 use crate::render::Up;
 use crate::surface::mesh::PositionRounding;
@@ -40,8 +40,19 @@ pub struct OutputOptions {
     pub vdb: vdb::ValueEncoding,
     /// The size and camera of pictures.
     pub picture: PictureOptions,
+    /// The formats of the points beside the surface, if the settings ask for spray.
+    pub spray: Vec<PointFormat>,
     /// The stage that plays the files of the frames.
     pub stage: Option<UsdStageOptions>,
+}
+
+/// What a file of a frame contains.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum OutputKind {
+    /// The surface, a picture of it, or the particles of a frame without surface.
+    Frame(OutputFormat),
+    /// The points beside the surface.
+    Spray(PointFormat),
 }
 
 /// A stage.
@@ -64,8 +75,22 @@ impl OutputOptions {
             meters_per_unit: 1.0,
             vdb: vdb::ValueEncoding::default(),
             picture: PictureOptions::default(),
+            spray: Vec::new(),
             stage: None,
         }
+    }
+
+    /// The files of the frame with this stem.
+    pub(crate) fn files(&self, stem: &str) -> Vec<(OutputKind, PathBuf)> {
+        let of_frame = |&format| (OutputKind::Frame(format), output_path(&self.folder, stem, format));
+        let of_spray = |&format| (OutputKind::Spray(format), spray_path(&self.folder, stem, format));
+        self.formats.iter().map(of_frame).chain(self.spray.iter().map(of_spray)).collect()
+    }
+
+    /// The formats of the points beside a surface unless others are chosen: those of the meshes, or PLY.
+    pub fn default_spray(&self) -> Vec<PointFormat> {
+        let beside: Vec<PointFormat> = self.formats.iter().copied().filter_map(PointFormat::beside).collect();
+        if beside.is_empty() { vec![PointFormat::Ply] } else { beside }
     }
 
     /// Whether pictures are written.
@@ -159,4 +184,22 @@ impl OutputOptions {
 /// The path of a frame's output: the frame has this stem, and the output this format.
 pub fn output_path(folder: &Path, stem: &str, format: OutputFormat) -> PathBuf {
     folder.join(name_of_text(&format!("{stem}.{}", format.extension())))
+}
+
+/// The path of the points beside a frame's surface.
+pub(crate) fn spray_path(folder: &Path, stem: &str, format: PointFormat) -> PathBuf {
+    folder.join(name_of_text(&format!("{stem}{SPRAY_ENDING}{}", format.extension())))
+}
+
+/// The end of a name of points beside a surface, before the extension.
+const SPRAY_ENDING: &str = ".spray.";
+
+/// Whether a file has the name of points beside a surface.
+pub(crate) fn has_spray_name(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let is_one = |format: PointFormat| {
+        let stem = name.strip_suffix(format.extension()).and_then(|stem| stem.strip_suffix(SPRAY_ENDING));
+        stem.is_some_and(|stem| !stem.is_empty())
+    };
+    PointFormat::ALL.into_iter().any(is_one)
 }

@@ -1,4 +1,4 @@
-//! Frames that are averaged with those around them (`--temporal`): when each may start, and when it is converted
+//! Frames that depend on those around them (`--temporal`, `--spray`): when each may start, and when it is converted
 //! again.
 //!
 //! ```text
@@ -20,10 +20,10 @@ use super::sequences::SequenceSettings;
 use super::state::Core;
 
 impl Core {
-    /// Whether the frames of a root are averaged with others.
-    pub(super) fn averages(&self, root: usize) -> bool {
+    /// Whether the frames of a root depend on others.
+    pub(super) fn depends_on_others(&self, root: usize) -> bool {
         let watch = self.watch(root);
-        watch.job() == Job::Surface && watch.choices.temporal.unwrap_or(0) > 0
+        watch.job() == Job::Surface && watch.choices.needs_frames_around()
     }
 
     /// The number of a frame, if it has one.
@@ -33,7 +33,7 @@ impl Core {
 
     /// A frame was found, or a file turned out to be one.
     pub(super) fn number_frame(&mut self, id: &FrameId, sequence: usize) {
-        let Some(number) = self.number_of(id).filter(|_| self.averages(id.root)) else { return };
+        let Some(number) = self.number_of(id).filter(|_| self.depends_on_others(id.root)) else { return };
         // A second frame with this number takes the first one from between the others.
         self.doubt_around_number(sequence, number);
         if self.sequences.get_mut(sequence).numbered.insert(number, id.clone()) {
@@ -43,7 +43,7 @@ impl Core {
 
     /// A frame is gone, or turned out not to be one.
     pub(super) fn unnumber_frame(&mut self, id: &FrameId, sequence: usize) {
-        let Some(number) = self.number_of(id).filter(|_| self.averages(id.root)) else { return };
+        let Some(number) = self.number_of(id).filter(|_| self.depends_on_others(id.root)) else { return };
         if self.sequences.get_mut(sequence).numbered.remove(number, id) {
             self.doubt_all(sequence);
         }
@@ -66,10 +66,10 @@ impl Core {
         self.doubt(sequence, done);
     }
 
-    /// Compares a frame that is done with its record, if it is averaged with others.
+    /// Compares a frame that is done with its record, if it depends on others.
     pub(super) fn doubt_done(&mut self, id: &FrameId) {
         if let Some(sequence) = self.frames.get(id).map(|frame| frame.sequence)
-            && self.averages(id.root)
+            && self.depends_on_others(id.root)
         {
             self.doubt(sequence, [id.clone()]);
         }
@@ -89,9 +89,9 @@ impl Core {
         around.into_iter().map(|(steps, number, id)| (steps, number, id.clone())).collect()
     }
 
-    /// The complete frames that a frame is averaged with.
+    /// The complete frames that a frame depends on.
     pub(super) fn frames_around(&self, id: &FrameId, settings: &Settings) -> Arc<[AroundFrame]> {
-        let around = self.known_around(id, settings.temporal).into_iter();
+        let around = self.known_around(id, settings.frames_around()).into_iter();
         let complete = around.filter(|(.., id)| self.is_complete(id));
         complete
             .map(|(steps, number, id)| AroundFrame { steps, path: id.path.to_path_buf(), number })
@@ -103,10 +103,10 @@ impl Core {
         !matches!(phase, None | Some(FramePhase::Settling(_) | FramePhase::FindingSteps))
     }
 
-    /// Whether a held frame waits for others that it is averaged with. It waits for files that exist and, unless
+    /// Whether a held frame waits for others that it depends on. It waits for files that exist and, unless
     /// [`WatchConfig::once`](crate::watch::config::WatchConfig::once) is set, for frames after it that may still come.
     pub(super) fn awaits_frames_around(&mut self, id: &FrameId, settings: &Settings) -> bool {
-        let waits = settings.temporal > 0 && self.has_to_wait(id, settings.temporal);
+        let waits = settings.frames_around() > 0 && self.has_to_wait(id, settings.frames_around());
         let (now, wait) = (self.now.at, self.config.temporal_wait);
         let Some(frame) = self.frames.get_mut(id).filter(|_| waits) else {
             self.waiting_around.remove(id);
@@ -155,14 +155,14 @@ impl Core {
         }
     }
 
-    /// With how many frames on each side a frame is averaged; `None` with none, and while its settings are unknown.
+    /// On how many frames on each side a frame depends; `None` on none, and while its settings are unknown.
     fn reach_of(&self, id: &FrameId) -> Option<u32> {
-        self.reach_in(self.frames.get(id).filter(|_| self.averages(id.root))?.sequence)
+        self.reach_in(self.frames.get(id).filter(|_| self.depends_on_others(id.root))?.sequence)
     }
 
     fn reach_in(&self, sequence: usize) -> Option<u32> {
         match &self.sequences.get(sequence).settings {
-            SequenceSettings::Fixed(settings, _) => Some(settings.temporal),
+            SequenceSettings::Fixed(settings, _) => Some(settings.frames_around()),
             _ => None,
         }
     }
@@ -189,7 +189,7 @@ impl Core {
         }
     }
 
-    /// Converts a done frame again if those around it are not those that it was averaged with. Frames that are gone
+    /// Converts a done frame again if those around it are not those that it was made with. Frames that are gone
     /// do not count.
     fn convert_if_changed_around(&mut self, id: &FrameId) {
         let Some(reach) = self.reach_of(id) else { return };

@@ -20,7 +20,7 @@ use meniscus_formats::Neighbor;
 
 use crate::pipeline::{
     ChangedOutput, DoneRecord, FileStamp, Frame, FrameError, ObstacleStamps, OutputOptions, Reason,
-    RecordedFrame, Stage, UnfinishedState, entry_key, output_path, step_in,
+    RecordedFrame, Stage, UnfinishedState, entry_key, step_in,
 };
 use crate::surface::options::Settings;
 
@@ -667,7 +667,7 @@ impl Core {
     fn output_paths(&mut self, id: &FrameId) -> Vec<PathBuf> {
         let outputs = self.output_options(id);
         let stem = id.output_stem();
-        outputs.formats.iter().map(|&format| output_path(&outputs.folder, &stem, format)).collect()
+        outputs.files(&stem).into_iter().map(|(_, path)| path).collect()
     }
 
     /// Claims the names of a frame's outputs. If another frame owns them, or there is another conflict,

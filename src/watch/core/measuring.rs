@@ -120,7 +120,7 @@ impl Core {
             let log = self.log_of_settings(index, headline, warnings);
             self.record_sequence(root, key, record, log);
             self.changed_sequences.push(index);
-            if self.averages(root) {
+            if self.depends_on_others(root) {
                 self.doubt_all(index);
             }
             for id in

@@ -26,6 +26,9 @@ use crate::temporal::FRAMES_MAX;
 /// deep leaves are not stored, and its particles cannot be counted.
 const ISLAND_MAX: u32 = 1000;
 
+/// Upper limit of `spray_keep`: each frame depends on twice as many on each side, less two.
+const SPRAY_KEEP_MAX: u32 = 5;
+
 /// Upper limit of `fill_cavities`, in voxels.
 pub(super) const CAVITY_VOXELS_MAX: f64 = 1e6;
 
@@ -209,6 +212,19 @@ method_options! {
             #[value(named("N"))]
             drop_islands: u32 in 0..=ISLAND_MAX,
 
+            /// Leave pieces of fluid with fewer particles than this out of the surface, and write them as points beside it,
+            /// 0 to 1000 [default: 0]
+            ///
+            /// Particles are linked if their r_init spheres touch. dam.0012.spray.ply has the points beside dam.0012.glb,
+            /// with a radius, a class (drop, cluster or filament), and the attributes of the particles.
+            #[value(named("N"))]
+            spray: u32 in 0..=ISLAND_MAX,
+
+            /// Number of frames that a particle stays in the surface or in the spray before it changes, 1 to 5; particles
+            /// are followed by their ids [default: 3]
+            #[value(named("FRAMES"))]
+            spray_keep: u32 in 1..=SPRAY_KEEP_MAX => [OptionName::new("spray")], |options, _| options.has_spray(),
+
             /// Fill enclosed cavities with less volume than this, in h³, 0 to 1000000 [default: 25 d³, which is
             /// 763 h³ on the default grid]
             #[value(named("VOLUME"))]
@@ -278,6 +294,16 @@ impl MethodOptions {
     /// The description of the option with this name.
     pub fn info(name: &str) -> Option<&'static OptionInfo<MethodOptions>> {
         MethodOptions::ALL.iter().find(|info| info.name == name)
+    }
+
+    /// Whether small pieces of fluid are left out of the surface.
+    pub fn has_spray(&self) -> bool {
+        self.spray.unwrap_or(0) > 0
+    }
+
+    /// Whether surfaces depend on frames before and after them.
+    pub fn needs_frames_around(&self) -> bool {
+        self.temporal.unwrap_or(0) > 0 || self.has_spray() && self.spray_keep != Some(1)
     }
 
     /// The default values of the preset.
@@ -419,6 +445,8 @@ mod tests {
             attributes: Some(AttributeSelection::Named(vec!["v".to_owned(), "Cd".to_owned()])),
             velocity_scale: Some(24_000.0 / 1001.0),
             drop_islands: Some(33),
+            spray: Some(20),
+            spray_keep: Some(2),
             fill_cavities: Some(1e-300),
             clip: Some(ClipBox { min: [-1.0, 0.0, 1.0 / 3.0], max: [1.0, 2.0, 1e9] }),
             contour: Some(Contouring::Tetrahedra),

@@ -24,6 +24,7 @@ pub use values::{AnisotropyKind, AttributeSelection, ClipBox, ColumnNames, Lengt
 use crate::particles::{Attribute, ParticleFilter, find_attribute};
 use crate::smooth::{EIGENVALUE_MAX, SmoothSteps};
 use crate::spacing::median;
+use crate::spray::frames_needed;
 use crate::words::significant;
 use presets::{Scale, Unit};
 use resolution::{
@@ -72,6 +73,10 @@ pub struct Settings {
     pub velocity_scale: f64,
     /// Pieces of surface with fewer particles than this are dropped.
     pub drop_islands: u32,
+    /// Pieces of fluid with fewer particles than this are spray.
+    pub spray: u32,
+    /// The number of frames that a particle stays in the surface or in the spray.
+    pub spray_keep: u32,
     /// Cavities with a smaller volume than this are filled, in units of h³.
     pub fill_cavities: f64,
     /// The surface outside this box is cut off.
@@ -240,7 +245,22 @@ impl fmt::Display for SettingsError {
 
 impl std::error::Error for SettingsError {}
 
+/// Default of the number of frames that a particle stays in the surface or in the spray.
+const SPRAY_KEEP: u32 = 3;
+
 impl Settings {
+    /// The number of frames before and after a frame on which its spray depends.
+    #[doc(hidden)]
+    pub fn spray_reach(&self) -> u32 {
+        if self.spray > 0 { frames_needed(self.spray_keep) } else { 0 }
+    }
+
+    /// The number of frames before and after a frame on which its surface depends.
+    #[doc(hidden)]
+    pub fn frames_around(&self) -> u32 {
+        self.temporal + self.spray_reach()
+    }
+
     /// How many frames are in memory at most while one of them is averaged: those that it is averaged with, itself,
     /// and a second copy of one that is computed meanwhile.
     #[doc(hidden)]
@@ -297,6 +317,8 @@ impl Settings {
             neighbor_radius,
             void_threshold: options.void_threshold.unwrap_or(VOID_THRESHOLD),
             drop_islands: options.drop_islands.unwrap_or(0),
+            spray: options.spray.unwrap_or(0),
+            spray_keep: options.spray_keep.unwrap_or(SPRAY_KEEP),
             fill_cavities: options.fill_cavities.unwrap_or_else(|| cavities(&recipe, voxels)),
             clip: options.clip.map(checked_box).transpose()?,
             decimate: options.decimate.unwrap_or(0.0),
@@ -347,7 +369,7 @@ impl Settings {
             options.offset.and_then(Length::world).filter(|offset| offset.is_finite()).unwrap_or(0.0);
         let settings = Settings::paper(if offset == 0.0 { 1.0 } else { offset.abs() }, options)?;
         // There are no particles to follow.
-        Ok(Settings { temporal: 0, ..settings })
+        Ok(Settings { temporal: 0, spray: 0, ..settings })
     }
 
     /// The same settings for another voxel size: the lengths that depend on the voxel size become those of

@@ -295,9 +295,10 @@ pub type Pairs = Vec<(&'static str, String)>;
 
 /// Options that change nothing at these values, so files do not record them. Newer options need no entry
 /// here: [`Settings::to_options`] omits them if they change nothing.
-const OFF: [(&str, &str); 7] = [
+const OFF: [(&str, &str); 8] = [
     ("anisotropy", "none"),
     ("drop_islands", "0"),
+    ("spray", "0"),
     ("fill_cavities", "0"),
     ("decimate", "0"),
     ("smooth_normals", "0"),
@@ -314,8 +315,18 @@ const IMPLIED: [&str; 2] = ["preset", "radius_ratio"];
 const OF_NEIGHBORS: [&str; 2] = ["spacing", "position_smoothing"];
 
 /// Files record these after all others, in this order.
-const LAST: [&str; 8] =
-    ["offset", "drop_islands", "fill_cavities", "clip", "contour", "decimate", "smooth_normals", "quads"];
+const LAST: [&str; 10] = [
+    "offset",
+    "drop_islands",
+    "spray",
+    "spray_keep",
+    "fill_cavities",
+    "clip",
+    "contour",
+    "decimate",
+    "smooth_normals",
+    "quads",
+];
 
 impl Settings {
     /// All options that resolve to these settings, except those that are not used.
@@ -358,6 +369,8 @@ impl Settings {
             attributes: self.attributes.clone(),
             velocity_scale,
             drop_islands: Some(self.drop_islands),
+            spray: Some(self.spray),
+            spray_keep: (self.spray > 0).then_some(self.spray_keep),
             fill_cavities: Some(self.fill_cavities),
             clip: self.clip,
             contour: Some(self.contouring),

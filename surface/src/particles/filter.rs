@@ -96,27 +96,36 @@ impl ParticleFilter {
         attributes: &[Attribute],
     ) -> Result<(OwnedPositions, Vec<Attribute>), String> {
         let mask = self.mask(attributes, positions.len())?;
-        let positions = match positions {
-            Positions::F32(positions) => OwnedPositions::F32(rows(positions, 1, &mask)),
-            Positions::F64(positions) => OwnedPositions::F64(rows(positions, 1, &mask)),
-        };
-        let attributes = attributes.iter().map(|attribute| {
-            let arity = attribute.arity;
-            let values = match &attribute.values {
-                AttributeValues::Numbers(values) => AttributeValues::Numbers(rows(values, arity, &mask)),
-                AttributeValues::Integers(values) => AttributeValues::Integers(rows(values, arity, &mask)),
-                AttributeValues::Strings { table, indices } => {
-                    AttributeValues::Strings { table: table.clone(), indices: rows(indices, arity, &mask) }
-                }
-            };
-            Attribute { name: attribute.name.clone(), values, ..*attribute }
-        });
-        Ok((positions, attributes.collect()))
+        Ok(rows_of(positions, attributes, &mask))
     }
 }
 
+/// The particles for which `mask` is true, with their attributes.
+pub(crate) fn rows_of(
+    positions: &Positions<'_>,
+    attributes: &[Attribute],
+    mask: &[bool],
+) -> (OwnedPositions, Vec<Attribute>) {
+    let positions = match positions {
+        Positions::F32(positions) => OwnedPositions::F32(rows(positions, 1, mask)),
+        Positions::F64(positions) => OwnedPositions::F64(rows(positions, 1, mask)),
+    };
+    let attributes = attributes.iter().map(|attribute| {
+        let arity = attribute.arity;
+        let values = match &attribute.values {
+            AttributeValues::Numbers(values) => AttributeValues::Numbers(rows(values, arity, mask)),
+            AttributeValues::Integers(values) => AttributeValues::Integers(rows(values, arity, mask)),
+            AttributeValues::Strings { table, indices } => {
+                AttributeValues::Strings { table: table.clone(), indices: rows(indices, arity, mask) }
+            }
+        };
+        Attribute { name: attribute.name.clone(), values, ..*attribute }
+    });
+    (positions, attributes.collect())
+}
+
 /// The rows of `arity` values for which `mask` is true.
-fn rows<T: Copy>(values: &[T], arity: usize, mask: &[bool]) -> Vec<T> {
+pub(crate) fn rows<T: Copy>(values: &[T], arity: usize, mask: &[bool]) -> Vec<T> {
     let chosen = values.chunks_exact(arity.max(1)).zip(mask).filter(|(_, is_chosen)| **is_chosen);
     chosen.flat_map(|(row, _)| row).copied().collect()
 }

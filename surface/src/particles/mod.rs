@@ -17,8 +17,10 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::DVec3;
+use rustc_hash::FxHashMap;
 
 pub use filter::ParticleFilter;
+pub(crate) use filter::{rows, rows_of};
 pub use shapes::{Ellipsoid, Shapes};
 
 /// Particle positions in world units, in the precision of the input.
@@ -501,6 +503,32 @@ pub fn find_attribute<'a>(all: &'a [Attribute], name: &str, arity: usize) -> Opt
     let fitting = || all.iter().filter(|attribute| attribute.has_numbers(arity));
     let own = fitting().find(|attribute| attribute.name == name);
     own.or_else(|| fitting().find(|attribute| attribute.matches(name)))
+}
+
+/// The particle of each id that only one particle has.
+pub(crate) fn unique_ids(ids: &[i64]) -> FxHashMap<i64, u32> {
+    const SHARED: u32 = u32::MAX;
+    let mut index_of_id = FxHashMap::default();
+    for (&id, index) in ids.iter().zip(0u32..SHARED) {
+        index_of_id.entry(id).and_modify(|known| *known = SHARED).or_insert(index);
+    }
+    index_of_id.retain(|_, index| *index != SHARED);
+    index_of_id
+}
+
+/// The ids among the attributes: those of the attribute `id`, or else of the first whose role this is.
+pub fn ids_of(attributes: &[Attribute]) -> Option<&[i64]> {
+    let is_named = |attribute: &&Attribute| attribute.name == "id";
+    let ids = |attribute: &'_ Attribute| match &attribute.values {
+        AttributeValues::Integers(_) => attribute.role == Role::Id && attribute.arity == 1,
+        _ => false,
+    };
+    let named = attributes.iter().filter(is_named).find(|attribute| ids(attribute));
+    let found = named.or_else(|| attributes.iter().find(|attribute| ids(attribute)))?;
+    match &found.values {
+        AttributeValues::Integers(ids) => Some(ids),
+        _ => None,
+    }
 }
 
 /// Multiplies finite numbers by a factor. Products beyond the range of 32-bit numbers become its limit,

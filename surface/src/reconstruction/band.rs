@@ -83,7 +83,7 @@ impl BoundedBand {
         // A level set has no particles to check.
         let validate = |_: &Mesh, _: f32| Ok::<Checks, Infallible>(Checks::EMPTY);
         let Ok(()) = postprocess::finalize(&mut mesh, settings, None, rounding, &mut report, validate);
-        FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report }
+        FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), spray: None, report }
     }
 }
 

@@ -9,6 +9,7 @@ mod changes;
 mod plan;
 mod postprocess;
 mod shape;
+mod spray;
 mod staged;
 mod tiles;
 
@@ -21,6 +22,7 @@ pub use plan::{
 };
 pub(crate) use shape::shapes_by_attributes;
 pub use shape::{ShapedSource, shape_by_attributes, shape_by_neighbors, shape_particles};
+pub use spray::ApartParticles;
 pub use staged::{StageError, StagedFrame, TileStorage};
 
 use crate::attributes::{BandAttribute, Support, interpolate_to_band, interpolate_to_vertices};
@@ -37,6 +39,7 @@ use crate::rasterize::{Radii, RasterParams};
 use crate::report::{Phase, ReconstructionReport, ShapeStats, TransferReport};
 use crate::smooth;
 use crate::space::Lattice;
+use crate::spray::Spray;
 
 /// The surface of one frame.
 #[derive(Clone, Debug)]
@@ -47,17 +50,27 @@ pub struct FrameSurface {
     pub mesh: Mesh,
     /// Attributes of the surface; empty unless [transferred](transfer_attributes).
     pub attributes: SurfaceAttributes,
+    /// The particles that are not in the mesh; `None` if the settings do not ask for it, or the caller has them.
+    pub spray: Option<Spray>,
     /// Measurements and validation results.
     pub report: ReconstructionReport,
 }
 
 impl FrameSurface {
+    /// Adds the particles that are not in the mesh.
+    pub fn with_spray(mut self, spray: Option<Spray>) -> FrameSurface {
+        self.report.spray = spray.as_ref().map(Spray::counts);
+        self.spray = spray;
+        self
+    }
+
     /// Memory used, in bytes.
     pub fn size_bytes(&self) -> u64 {
         let leaves = self.band.phi.leaves.len() * (size_of::<Leaf>() + TOPOLOGY_LEAF_BYTES);
         let Mesh { positions, normals, triangles, .. } = &self.mesh;
         let mesh = size_of_val(&**positions) + size_of_val(&**normals) + size_of_val(&**triangles);
-        (leaves + mesh + self.attributes.size_bytes()) as u64
+        let spray = self.spray.as_ref().map_or(0, Spray::size_bytes);
+        (leaves + mesh + self.attributes.size_bytes() + spray) as u64
     }
 }
 

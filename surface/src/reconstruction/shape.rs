@@ -330,7 +330,7 @@ impl<S: ParticleSource> ParticleSource for ShapedSource<S> {
 }
 
 /// Scale of each particle, in units of the settings' radii.
-fn scales(
+pub(super) fn scales(
     count: usize,
     attributes: &[Attribute],
     own: &PerParticleRadius,

@@ -520,7 +520,7 @@ fn contour_within<P: NearParticles>(
     };
     postprocess::finalize(&mut mesh, settings, Some(&scene.radii), rounding, &mut report, validate)?;
     report.certificate.input_positions_outside = particles.inputs_outside(&band, scene, exempt)?;
-    Ok(FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), report })
+    Ok(FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), spray: None, report })
 }
 
 #[cfg(test)]

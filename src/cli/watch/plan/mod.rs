@@ -162,6 +162,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         warnings.extend(Settings::resolve(&choices, None)?.warnings());
     }
     let mut outputs = frames.formats.outputs(absolute(output)?)?;
+    outputs.spray = frames.formats.spray(&frames.method, &outputs);
     if let Some(stage) = &mut outputs.stage {
         stage.path = absolute(&stage.path)?;
         // The folder of the results may not exist yet.
