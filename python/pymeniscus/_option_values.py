@@ -57,6 +57,10 @@ class OptionValues(TypedDict, total=False):
         Fill gaps narrower than this between the surface and obstacles, in voxels, 0 to 4 [default: 1]
     velocity_scale : float
         Multiply velocities by this factor, and accelerations by its square, 1e-9 to 1e9. If velocities are per frame, give the frame rate [default: 1]
+    rest : int
+        Interpolate rest coordinates to the surface: the position that each particle had in the frame with this number, 0 to 99999999 Particles are followed by their ids; one that appeared later has the position at which it appeared. The surface, and points beside it, get the vector attribute `rest`.
+    rest_period : int
+        After so many frames the rest coordinates begin again, 2 to 100000, even: a second set, `rest2`, begins half a period later, and `rest_ratio` is its weight [default: one set, which never begins again]
     temporal : int
         Average each surface with those of this many frames before and after it, along the motion of the particles, 0 to 3; particles are followed by their ids or, with `time_step`, by their velocities [default: 0]
     time_step : float
@@ -111,6 +115,8 @@ class OptionValues(TypedDict, total=False):
     velocity_gain: float | None
     void_threshold: float | None
     velocity_scale: float | None
+    rest: int | None
+    rest_period: int | None
     temporal: int | None
     time_step: float | None
     drop_islands: int | None

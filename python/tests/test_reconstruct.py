@@ -278,6 +278,10 @@ def test_every_option_changes_something_or_is_refused(block):
             with pytest.raises(pm.OptionError, match="each frame alone decides"):
                 pm.reconstruct(block, **{**options, "spray": 20})
             continue
+        if info.name in ("rest", "rest_period"):
+            with pytest.raises(pm.OptionError, match="`rest` needs the frames before a frame"):
+                pm.reconstruct(block, **{**options, "rest": 4})
+            continue
         if info.name in ("temporal", "time_step"):
             with pytest.raises(pm.OptionError, match="`temporal` averages the frames of a sequence"):
                 pm.reconstruct(block, velocity=velocity, **{**options, "temporal": 1})

@@ -303,7 +303,7 @@ impl ConvertPlan {
         note_gaps(&sequence.name, &numbered, selected, settings.temporal, console);
         let frames = selected.iter().map(|file| Frame {
             job: self.job,
-            around: numbered.frames_around(file.number(), settings.frames_around()),
+            around: numbered.frames_around(file.number(), settings.frame_reach()),
             obstacles: Arc::clone(&self.obstacles),
             records: self.records.clone(),
             ..Frame::new(file, &settings, &outputs)

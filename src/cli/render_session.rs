@@ -23,6 +23,7 @@ use crate::pipeline::{
 use crate::render::{Picture, render_particles, side_by_side};
 use crate::surface::grid::{LeafMask, negative_masks};
 use crate::surface::options::{AttributeSelection, ColumnNames, MethodOptions, Settings};
+use crate::surface::reconstruction::FrameSurface;
 use crate::surface::space::Lattice;
 
 use super::args::{FormatArgs, MethodArgs, MethodOptionArgs, PictureArgs};
@@ -239,7 +240,13 @@ impl RenderSource {
         let (band, part) = match self {
             RenderSource::LevelSet(level_set) => (level_set.scene().band, "level set"),
             RenderSource::Mesh(mesh) => return mesh.bounds().is_none().then_some("mesh"),
-            RenderSource::Reconstructed(reconstructed) => (&reconstructed.made.surface.band, "surface"),
+            RenderSource::Reconstructed(reconstructed) => {
+                let FrameSurface { band, spray, .. } = &reconstructed.made.surface;
+                if spray.as_ref().is_some_and(|spray| !spray.positions.is_empty()) {
+                    return None;
+                }
+                (band, "surface")
+            }
         };
         negative_masks(&band.phi).iter().all(LeafMask::is_empty).then_some(part)
     }
@@ -301,8 +308,9 @@ pub(super) fn picture_of_reconstruction(
 ) -> Picture {
     let velocity = if has_data { velocities(&made.surface) } else { None };
     let lattice = Lattice { voxel_size: settings.voxel_size };
-    let (band, origin) = (&made.surface.band, glam::DVec3::ZERO);
-    PictureScene { band, lattice, origin, velocity: velocity.as_ref() }.picture(viewpoint, size, has_data)
+    let (band, spray, origin) = (&made.surface.band, made.surface.spray.as_ref(), glam::DVec3::ZERO);
+    let scene = PictureScene { band, lattice, origin, velocity: velocity.as_ref(), spray };
+    scene.picture(viewpoint, size, has_data)
 }
 
 /// The files that the inputs name: particles, and in folders also a surface of each frame without particles.

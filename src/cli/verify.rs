@@ -17,8 +17,7 @@ use crate::pipeline::{
     sequences,
 };
 
-use crate::surface::spray::frames_needed;
-use crate::surface::temporal::FRAMES_MAX;
+use crate::surface::options::{FrameReach, MethodOptions};
 
 use super::CommandOutcome;
 use super::args::VerifyArgs;
@@ -182,7 +181,7 @@ fn current_settings(
         }
         let Some((current, _)) = uses.into_iter().max_by_key(|(_, uses)| *uses) else { continue };
         let values = records.settings(current);
-        let reach = values.as_ref().map_or(0, frames_around);
+        let reach = values.as_ref().map_or_else(FrameReach::default, frame_reach);
         // A conversion of these inputs depends on no others.
         let given = sequence.frames.iter().filter(|file| given.contains(&*file.path));
         let numbered = NumberedFrames::of_files(given);
@@ -194,15 +193,14 @@ fn current_settings(
     settings
 }
 
-/// The number of frames before and after a frame on which it depends, with these settings.
-fn frames_around(values: &SettingValues) -> u32 {
-    let number = |name: &str| values.get(name).and_then(|value| value.parse::<u32>().ok());
-    let of_spray = number("spray").and(number("spray_keep")).map_or(0, frames_needed);
-    (number("temporal").unwrap_or(0).min(FRAMES_MAX)).saturating_add(of_spray.min(FRAMES_READ_MAX))
+/// The frames that a frame depends on, with these settings.
+fn frame_reach(values: &SettingValues) -> FrameReach {
+    let options = ["temporal", "spray", "spray_keep", "rest", "rest_period", "attributes"];
+    let pairs = options.into_iter().filter_map(|name| Some((name, values.get(name)?.as_str())));
+    // Values out of range are of another version.
+    let options = MethodOptions::from_pairs(pairs).filter(|options| options.check_ranges().is_ok());
+    options.map_or_else(FrameReach::default, |options| options.frame_reach())
 }
-
-/// More frames on each side than any settings need.
-const FRAMES_READ_MAX: u32 = 16;
 
 /// The hashes of the inputs that are known, by path.
 type InputHashes = HashMap<PathBuf, meniscus_formats::Result<u128>>;

@@ -109,7 +109,8 @@ impl EmbeddedSurface<'_> {
     /// The lower and upper corner of a box around the surface, world units; `None` if the surface is empty.
     pub fn bounds(&self) -> Option<[DVec3; 2]> {
         let lattice = Lattice { voxel_size: self.settings.voxel_size };
-        PictureScene { band: &self.surface.band, lattice, origin: DVec3::ZERO, velocity: None }.bounds()
+        let (band, spray) = (&self.surface.band, self.surface.spray.as_ref());
+        PictureScene { band, lattice, origin: DVec3::ZERO, velocity: None, spray }.bounds()
     }
 
     /// The measurements as JSON, like an entry of `frames` in a report, but without files, times and memory.

@@ -5,6 +5,7 @@ use std::io;
 use std::path::Path;
 
 use crate::surface::Storage;
+use crate::surface::attributes::has_rest;
 use crate::surface::options::Settings;
 use crate::surface::particles::ParticleCloud;
 use crate::surface::reconstruction::{
@@ -150,9 +151,13 @@ pub(crate) fn contour(
     let (mut surface, particles) = frame.contour(settings, outputs.position_rounding())?;
     let Some(particles) = particles else { return Ok(surface) };
     require_unchanged(particles.given().file().as_deref())?;
+    let mut unsmoothed = None;
     // Particles on disk have no selected attributes.
     let cloud = particles.filter_map(|given| match given {
-        FrameInput::InMemory(cloud) if settings.attributes.is_some() => Some(cloud),
+        FrameInput::InMemory(cloud) if settings.has_attributes() => {
+            unsmoothed = has_rest(&cloud.attributes).then(|| cloud.positions.clone());
+            Some(cloud)
+        }
         FrameInput::InMemory(_) | FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => None,
     });
     if let Some(cloud) = cloud {
@@ -164,7 +169,7 @@ pub(crate) fn contour(
         let surface = &mut surface;
         reconstruction::transfer_attributes(
             surface,
-            positions.into(),
+            (positions.into(), unsmoothed.as_ref()),
             &shapes,
             &attributes,
             settings,

@@ -117,7 +117,7 @@ pub use observer::Observer;
 pub use output::spray_files::points_of as spray_points;
 pub use output::writing::{encode_level_set, mesh_view, vertex_attributes};
 pub use reconstruct::{LoadedFrame, Reconstruction};
-pub use records::content::{SniffedContent, content, content_with, is_spray};
+pub use records::content::{SniffedContent, content, content_with, is_spray, spray_beside};
 pub use records::figures::Figures;
 pub use records::frame_records::{
     FrameRecords, LatestRecords, OutputComparison, RecordedFrame, ResultState, STATE_FOLDER, SettingValues,

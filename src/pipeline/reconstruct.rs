@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use twox_hash::XxHash3_128;
 
+use crate::surface::attributes::add_computed;
 use crate::surface::flicker::MovingParticles;
 use crate::surface::options::Settings;
 use crate::surface::particles::{OwnedPositions, ParticleCloud};
@@ -126,6 +127,8 @@ impl LoadedFrame {
     ) -> Result<Reconstruction, FrameError> {
         let path = &*self.path;
         let (mut loaded, mut spray) = (self.clone(), None);
+        let ParticleCloud { positions, attributes, .. } = &mut loaded.cloud;
+        add_computed(positions, attributes, settings);
         if settings.spray > 0 {
             let ParticleCloud { positions, attributes, .. } = &loaded.cloud;
             let apart = ApartParticles::find(positions, attributes, settings);

@@ -15,6 +15,7 @@ use meniscus_formats::OutputFormat;
 use crate::surface::level_set::RebuildReason;
 use crate::surface::mesh::MeshMeasures;
 use crate::surface::options::Preset;
+use crate::surface::particles::Role;
 use crate::surface::spacing::ROUNDING_REMEDY;
 use crate::surface::words::{pluralize, significant};
 
@@ -42,6 +43,8 @@ pub enum Warning {
 pub enum InputWarning {
     /// An attribute selected for the surface is missing.
     MissingAttribute { name: String, available: Vec<String> },
+    /// A selected attribute cannot be computed, because the particles lack one with this semantic.
+    NotComputed { name: &'static str, needs: Role },
     /// The particles are of several kinds, such as fluid and walls, according to an attribute with these
     /// values, and no condition chooses some of them.
     SeveralKinds { attribute: String, values: Vec<String> },
@@ -67,6 +70,8 @@ pub enum InputWarning {
     SprayWithoutIds,
     /// The frame has no number, so no frame is before or after it.
     NotNumbered,
+    /// The first frame of the rest coordinates, which has this number.
+    ReferenceMissing { number: u32 },
     /// The frames around hardly count, because this share of their weight was confident.
     HardlyFollowed { confidence: f64 },
     /// The particles are too few to choose a preset by them.
@@ -232,6 +237,9 @@ impl ReportedWarnings {
                 {
                     name.clone_from(attribute);
                 }
+                if let InputWarning::NotComputed { name: attribute, .. } = input {
+                    name += attribute;
+                }
                 Variant::Input(discriminant(input))
             }
             Warning::Obstacle { path, finding } => {
@@ -271,6 +279,10 @@ impl fmt::Display for InputWarning {
             InputWarning::MissingAttribute { name, available } => {
                 let available = if available.is_empty() { "none".to_owned() } else { available.join(", ") };
                 write!(f, "the particles have no attribute `{name}` for the surface; available: {available}")
+            }
+            InputWarning::NotComputed { name, needs } => {
+                let needs = if *needs == Role::Id { "ids" } else { "velocities" };
+                write!(f, "`{name}` is not computed: the particles have no {needs}")
             }
             InputWarning::SeveralKinds { attribute, values } => write!(
                 f,
@@ -319,8 +331,12 @@ impl fmt::Display for InputWarning {
                  flicker between the surface and the points",
             ),
             InputWarning::NotNumbered => f.write_str(
-                "the surface is not averaged with those of other frames: its name has no frame number; a time in a \
+                "the frame depends on no others, although an option wants that: its name has no frame number; a time in a \
                  name is none",
+            ),
+            InputWarning::ReferenceMissing { number } => write!(
+                f,
+                "frame {number}, which --rest names, is missing: particles have the position at which they appeared after it"
             ),
             InputWarning::HardlyFollowed { confidence } => write!(
                 f,

@@ -100,6 +100,8 @@ pub mod edits;
 #[doc(hidden)]
 pub mod flicker;
 #[doc(hidden)]
+pub mod origins;
+#[doc(hidden)]
 pub mod rasterize;
 #[doc(hidden)]
 pub mod smooth;

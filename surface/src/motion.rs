@@ -6,10 +6,10 @@
 //! velocity at the start only, a drop in free fall would be off by g dt²/2.
 
 use glam::{DVec3, Vec3};
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::neighbors::Neighbors;
-use crate::particles::{Attribute, OwnedPositions, find_attribute, ids_of, unique_ids};
+use crate::particles::{Attribute, OwnedPositions, find_attribute, ids_of, rows, rows_of, unique_ids};
 
 /// How points are carried to the frame before and the frame after.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,6 +53,32 @@ impl MovingParticles {
             find_attribute(attributes, "velocity", 3).and_then(|attribute| attribute.values.numbers());
         let velocities = velocities.map(|numbers| numbers.as_chunks::<3>().0.to_vec());
         MovingParticles { positions, ids, velocities }
+    }
+
+    /// Those that are not among the others, by their ids or, without ids, by their positions.
+    pub fn without(self, others: &MovingParticles) -> MovingParticles {
+        let MovingParticles { positions, ids, velocities } = self;
+        let is_kept: Vec<bool> = match (&ids, &others.ids) {
+            (Some(ids), Some(other_ids)) => {
+                let others: FxHashSet<i64> = other_ids.iter().copied().collect();
+                ids.iter().map(|id| !others.contains(id)).collect()
+            }
+            _ => {
+                let place = |positions: &OwnedPositions, index| {
+                    positions.position(index).as_vec3().to_array().map(f32::to_bits)
+                };
+                let others: FxHashSet<[u32; 3]> =
+                    (0..others.positions.len()).map(|index| place(&others.positions, index)).collect();
+                (0..positions.len()).map(|index| !others.contains(&place(&positions, index))).collect()
+            }
+        };
+        let (positions, _) = rows_of(&(&positions).into(), &[], &is_kept);
+        let ids = ids.map(|ids| rows(&ids, 1, &is_kept));
+        MovingParticles {
+            positions,
+            ids,
+            velocities: velocities.map(|velocities| rows(&velocities, 1, &is_kept)),
+        }
     }
 }
 

@@ -8,13 +8,14 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::attributes::{ComputedAttribute, add_computed, has_rest, wants_computed};
 use crate::cancel::{CancelToken, catch};
 use crate::error::Error;
 use crate::level_set::NarrowBand;
 use crate::mesh::{Mesh, PositionRounding};
 use crate::motion::MovingParticles;
 use crate::obstacle::{Obstacle, Obstacles};
-use crate::options::{Anisotropy, Length, SequenceSpacing, Settings, SettingsError};
+use crate::options::{Anisotropy, Length, OptionName, SequenceSpacing, Settings, SettingsError};
 use crate::parallel::Loops as _;
 use crate::particles::{Attribute, OwnedPositions, ParticleSource, Positions, Shapes, find_attribute};
 use crate::reconstruction::{
@@ -354,6 +355,7 @@ impl<'a> Reconstructor<'a> {
         }
         check_required_attributes(settings, &attributes)?;
         let input_count = positions.len();
+        let (positions, attributes) = with_computed(positions, attributes, settings);
         let (positions, attributes, spray) = without_spray(positions, attributes, settings);
         let plan = self.plan(&positions, &attributes, settings)?;
         self.begin(Phase::Rasterize);
@@ -386,11 +388,14 @@ impl<'a> Reconstructor<'a> {
         let RequestedParts { rounding, band_half_width_voxels, .. } = wanted;
         self.begin(Phase::Contour);
         let (mut surface, particles) = staged.contour(&settings, rounding)?;
-        if let Some(particles) = particles.filter(|_| settings.attributes.is_some()) {
+        if let Some(particles) = particles.filter(|_| settings.has_attributes()) {
             self.begin(Phase::Interpolate);
+            let given = &particles.given().positions;
+            let unsmoothed = has_rest(&attributes).then(|| OwnedPositions::from(given.clone()));
             let (positions, shapes) = particles.into_positions(|given| (given.positions, given.shapes));
             let targets = Targets { vertices: true, band_half_width_voxels };
             let surface = &mut surface;
+            let positions = (positions, unsmoothed.as_ref());
             reconstruction::transfer_attributes(surface, positions, &shapes, &attributes, &settings, targets);
         }
         Ok((surface.with_spray(spray), settings))
@@ -450,10 +455,7 @@ impl<'a> Reconstructor<'a> {
         attributes: &[Attribute],
         settings: &Settings,
     ) -> Result<MemoryPlan, Error> {
-        let selected = |attribute: &&Attribute| {
-            settings.attributes.as_ref().is_some_and(|selection| selection.selects(attribute))
-        };
-        let selected = attributes.iter().filter(selected);
+        let selected = attributes.iter().filter(|attribute| settings.selects(attribute));
         let bytes: usize = selected.map(|attribute| attribute.values.size_bytes()).sum();
         let attribute_bytes = bytes as f64 / positions.len().max(1) as f64;
         // A frame in tiles cannot be averaged with others.
@@ -543,6 +545,16 @@ fn resolve(
                     the number of frames that a particle stays on one side must be 1";
         return Err(SettingsError::of_value(what.to_owned()).into());
     }
+    let age = ComputedAttribute::Age;
+    let unknown = match options.rest {
+        Some(_) => Some(OptionName::new("rest")),
+        None => age
+            .is_wanted(options.attributes.as_ref(), attributes)
+            .then_some(OptionName::with_value("attributes", "age")),
+    };
+    if let Some(option) = unknown {
+        return Err(SettingsError::of_earlier_frames(option).into());
+    }
     let options = &Options { spray_keep: options.spray.map(|_| 1), ..options.clone() };
     let per_particle_radius = options.per_particle_radius()?;
     let mut measured = None;
@@ -597,6 +609,20 @@ fn check_lengths(positions: &Positions<'_>, attributes: &[Attribute]) -> Result<
     Ok(())
 }
 
+/// The particles with the attributes that are computed from others.
+fn with_computed<'p>(
+    positions: Positions<'p>,
+    attributes: Cow<'p, [Attribute]>,
+    settings: &Settings,
+) -> (Positions<'p>, Cow<'p, [Attribute]>) {
+    if !wants_computed(settings, &attributes) {
+        return (positions, attributes);
+    }
+    let (positions, mut attributes): (OwnedPositions, _) = (positions.into(), attributes.into_owned());
+    add_computed(&positions, &mut attributes, settings);
+    (positions.into(), attributes.into())
+}
+
 /// The particles and attributes without spray, and the spray, if the settings ask for it.
 fn without_spray<'p>(
     positions: Positions<'p>,
@@ -626,7 +652,7 @@ fn check_required_attributes(settings: &Settings, attributes: &[Attribute]) -> R
 
 /// Converts the mesh to absolute positions.
 fn with_absolute_positions(surface: reconstruction::FrameSurface, settings: Settings) -> Surface {
-    let reconstruction::FrameSurface { band, mesh, attributes, spray, report } = surface;
+    let reconstruction::FrameSurface { band, mesh, attributes, spray, report, .. } = surface;
     let Mesh { positions, normals, triangles, origin } = mesh;
     let positions = positions.into_par_iter().halved().map(|position| origin + position.as_dvec3()).collect();
     let attributes = attributes.vertices;

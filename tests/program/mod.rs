@@ -22,6 +22,7 @@ mod particles_only; // particles from one format to another, without a surface
 mod pictures; // pictures of balls with known geometry; picture files, and the command
 mod pipeline; // frames in the stages of the pipeline, with a quick method in place of the real one
 mod raw_vdb; // writes unusual level sets
+mod rest; // attributes that depend on earlier frames, or are computed
 mod same_bytes;
 pub(crate) mod scene; // small frames of particles, and a way to run the command
 mod sequence_files; // meshes in other programs' formats, and all frames of a sequence in one file

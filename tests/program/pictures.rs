@@ -52,7 +52,7 @@ const AWAY: &str = "eye=0:3:4,target=0:0:0,view=40";
 
 fn picture_of(band: &NarrowBand, origin: DVec3, viewpoint: &Viewpoint) -> Picture {
     let lattice = Lattice { voxel_size: VOXEL_SIZE };
-    PictureScene { band, lattice, origin, velocity: None }.picture(viewpoint, SIZE, true)
+    PictureScene { band, lattice, origin, velocity: None, spray: None }.picture(viewpoint, SIZE, true)
 }
 
 #[test]

@@ -5,6 +5,7 @@
 //!       over "surface"               the manifest: the attributes that have time samples, without values
 //!       def Xform "dam"              a sequence: references the file of one frame, for the definitions
 //!           over "surface"           clips: times ──▶ files
+//!       def Xform "dam_spray"        the same for the points beside the surface, in `over "spray"`
 //!           def Volume "volume"      OpenVDBAsset prims: times ──▶ files
 //! ```
 //!
@@ -38,7 +39,7 @@ use crate::error::{Error, Position, Result};
 use crate::options::UpAxis;
 use crate::sequence::{check_numbers, held_times};
 
-use crate::usd::{FORMAT, PRIM, ROOT, SAMPLE_CODE, SampledProperty, TRANSLATE, identifier};
+use crate::usd::{FORMAT, POINTS_PRIM, PRIM, ROOT, SAMPLE_CODE, SampledProperty, TRANSLATE, identifier};
 use crate::vertex_attributes::UsedNames;
 
 use super::head::{LAST_LINE, head, times};
@@ -59,14 +60,16 @@ pub struct UsdStage {
     pub sequences: Vec<StageClips>,
 }
 
-/// The frames of a sequence.
+/// The frames of a sequence: its surfaces, or the points beside them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StageClips {
     /// Its name, from which that of its prim is made.
     pub name: String,
-    /// The meshes in USD, in the order of their time codes.
+    /// Whether `meshes` are points beside surfaces.
+    pub are_points: bool,
+    /// The meshes or points in USD, in the order of their time codes.
     pub meshes: Vec<ClipFile>,
-    /// The index of the mesh whose file defines the attributes of all.
+    /// The index of the file that defines the attributes of all.
     pub declared_by: usize,
     /// The attributes that have time samples in that file.
     pub properties: Vec<SampledProperty>,
@@ -102,17 +105,21 @@ pub fn stage_text(stage: &UsdStage, provenance: &Provenance) -> Result<String> {
     };
     let mut text = head(provenance, (None, &[]), (*up, *meters_per_unit), &times(range.into(), *fps));
     text += &manifest(sequences);
-    let mut used = UsedNames::new(&[PRIM]);
+    let has_points = sequences.iter().any(|sequence| sequence.are_points);
+    let mut used = UsedNames::new(if has_points { &[PRIM, POINTS_PRIM] } else { &[PRIM] });
     for sequence in sequences {
         let name = used.take(&identifier(&sequence.name));
         if !sequence.meshes.is_empty() || !sequence.volumes.is_empty() {
             text += &sequence_text(sequence, &name, path);
         }
     }
-    let (meshes, volumes) = sequences
-        .iter()
-        .fold((0, 0), |(meshes, volumes), next| (meshes + next.meshes.len(), volumes + next.volumes.len()));
-    Ok(text + &format!("}}\n\n{LAST_LINE}{meshes} meshes, {volumes} volumes\n"))
+    let (mut meshes, mut points, mut volumes) = (0, 0, 0);
+    for sequence in sequences {
+        *(if sequence.are_points { &mut points } else { &mut meshes }) += sequence.meshes.len();
+        volumes += sequence.volumes.len();
+    }
+    let points = if points > 0 { format!(", {points} files of points") } else { String::new() };
+    Ok(text + &format!("}}\n\n{LAST_LINE}{meshes} meshes, {volumes} volumes{points}\n"))
 }
 
 fn invalid(what: String) -> Error {
@@ -132,20 +139,34 @@ fn check_path(path: &str) -> Result<()> {
     }
 }
 
-/// The manifest: the attributes of all sequences, without values. Empty if there are no meshes.
+/// The manifest: the attributes of all sequences, without values. Empty if there are no meshes and points.
 fn manifest(sequences: &[StageClips]) -> String {
-    let (mut lines, mut names) = (String::new(), HashSet::new());
-    for SampledProperty { kind, name } in sequences.iter().flat_map(|sequence| &sequence.properties) {
-        if names.insert(name) {
-            lines += &format!("        {kind} {name}\n");
+    let of = |are_points: bool| {
+        let (mut lines, mut names) = (String::new(), HashSet::new());
+        let sequences = sequences.iter().filter(|sequence| sequence.are_points == are_points);
+        for SampledProperty { kind, name } in sequences.flat_map(|sequence| &sequence.properties) {
+            if names.insert(name) {
+                lines += &format!("        {kind} {name}\n");
+            }
         }
-    }
-    if names.is_empty() { String::new() } else { format!("    over \"{PRIM}\"\n    {{\n{lines}    }}\n\n") }
+        let prim = prim_of(are_points);
+        if names.is_empty() {
+            String::new()
+        } else {
+            format!("    over \"{prim}\"\n    {{\n{lines}    }}\n\n")
+        }
+    };
+    of(false) + &of(true)
+}
+
+/// The name of the prim in the file of a frame.
+fn prim_of(are_points: bool) -> &'static str {
+    if are_points { POINTS_PRIM } else { PRIM }
 }
 
 /// The prim of a sequence in the stage with this path.
 fn sequence_text(sequence: &StageClips, name: &str, stage: &str) -> String {
-    let StageClips { meshes, declared_by, volumes, has_velocity, .. } = sequence;
+    let StageClips { are_points, meshes, declared_by, volumes, has_velocity, .. } = sequence;
     let mut text = format!("    def Xform \"{name}\"");
     if let Some(declared) = meshes.get(*declared_by).map(|file| asset(&file.path)) {
         text += &clips(meshes, &declared, &asset(stage));
@@ -153,7 +174,8 @@ fn sequence_text(sequence: &StageClips, name: &str, stage: &str) -> String {
     text += "\n    {\n";
     if !meshes.is_empty() {
         text += &format!(
-            "        over \"{PRIM}\"\n        {{\n            uniform token[] xformOpOrder = [\"{TRANSLATE}\"]\n        }}\n"
+            "        over \"{}\"\n        {{\n            uniform token[] xformOpOrder = [\"{TRANSLATE}\"]\n        }}\n",
+            prim_of(*are_points)
         );
     }
     if !volumes.is_empty() {

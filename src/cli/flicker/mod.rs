@@ -17,7 +17,7 @@ use meniscus_formats::Format;
 
 use crate::pipeline::{
     AttributeRequest, FrameFile, MeshFile, Sequence, are_same_file, common_step, frame_rate, measure_spacing,
-    parse_particles, read_file, shown, step_of,
+    parse_particles, read_file, shown, spray_beside, step_of,
 };
 use crate::surface::flicker::{
     CARRY_REACH, Carrier, Distribution, Enclosed, FlickerFrame, MovingParticles, carried_distances, enclosed,
@@ -611,7 +611,12 @@ fn reading_of(args: &FlickerArgs) -> ReadOptions {
 /// Reads the mesh of a frame, and the particles that meet the condition.
 fn read_frame(files: &FrameFiles, spacing: f64, reading: &ReadOptions) -> Result<FlickerFrame> {
     let surface = read_surface(&files.mesh)?;
-    Ok(FlickerFrame::new(read_moving(&files.particles, reading)?, surface, spacing))
+    let mut particles = read_moving(&files.particles, reading)?;
+    // The points beside a mesh do not move it.
+    if let Some(spray) = spray_beside(&files.mesh) {
+        particles = particles.without(&read_moving(&spray, &ReadOptions::default())?);
+    }
+    Ok(FlickerFrame::new(particles, surface, spacing))
 }
 
 fn read_surface(path: &Path) -> Result<MeshDistance> {

@@ -1,5 +1,5 @@
-//! The frames before and after a frame on which its surface depends: with which it is averaged (`--temporal`), and which
-//! say what is spray (`--spray`).
+//! The frames before and after a frame on which its surface depends: with which it is averaged (`--temporal`), which say
+//! what is spray (`--spray`), and from which its particles come (`--rest`).
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -18,6 +18,7 @@ use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::json::hex;
 use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::warning::{FrameWarning, InputWarning, Warning};
+use crate::surface::options::{FrameReach, RestFrames, Settings};
 use crate::surface::temporal::TemporalReport;
 
 /// A frame before or after another one.
@@ -187,18 +188,43 @@ impl<T: PartialEq> NumberedFrames<T> {
         }
     }
 
-    /// The frames up to `reach` steps before and after a frame, in order, with the number of steps and their
-    /// numbers. Where one is missing, the others keep their distance. A frame without a number, or with one that
-    /// others have, too, is next to no other one.
-    pub fn around(&self, number: Option<i64>, reach: u32) -> Vec<(i32, i64, &T)> {
+    /// The frames that a frame depends on, in order, with the number of steps and their numbers. Where one is missing,
+    /// the others keep their distance. A frame without a number, or with one that others have, too, depends on no
+    /// other one.
+    pub fn around(&self, number: Option<i64>, reach: FrameReach) -> Vec<(i32, i64, &T)> {
         let Some(number) = number.filter(|number| self.only(*number).is_some()) else { return Vec::new() };
         let Some(step) = self.step() else { return Vec::new() };
-        let reach = i32::try_from(reach).unwrap_or(i32::MAX);
+        let beside = i32::try_from(reach.beside).unwrap_or(i32::MAX);
+        let first = reach.first(number).unwrap_or(number);
+        let before = self.frames.range(first..number).rev().take(HISTORY_MAX);
+        let mut history: Vec<i32> = before
+            .filter_map(|(at, _)| steps_between(number, *at, step))
+            .filter(|steps| steps.unsigned_abs() > reach.beside)
+            .collect();
+        history.reverse();
         let frame = |steps: i32| {
             let number = number.checked_add(step.checked_mul(steps.into())?)?;
             Some((steps, number, self.only(number)?))
         };
-        (-reach..=reach).filter(|steps| *steps != 0).filter_map(frame).collect()
+        let beside = (-beside..=beside).filter(|steps| *steps != 0);
+        history.into_iter().chain(beside).filter_map(frame).collect()
+    }
+
+    /// The frames that depend on those with this number.
+    pub fn dependent(&self, number: i64, reach: FrameReach) -> Vec<&T> {
+        let is_dependent = |at: &i64| {
+            let depends = |step: i64| {
+                let steps = steps_between(*at, number, step).map(i32::unsigned_abs);
+                steps.is_some_and(|steps| steps != 0 && steps <= reach.beside)
+            };
+            self.step().is_some_and(depends)
+                || number < *at && reach.first(*at).is_some_and(|first| first <= number)
+        };
+        // Only frames nearby depend on those beside them.
+        let far = self.step().unwrap_or(0).saturating_mul(reach.beside.into());
+        let last = if reach.has_history() { i64::MAX } else { number.saturating_add(far) };
+        let range = self.frames.range(number.saturating_sub(far)..=last);
+        range.filter(|(at, _)| is_dependent(at)).filter_map(|(at, _)| self.only(*at)).collect()
     }
 }
 
@@ -213,11 +239,20 @@ impl NumberedFrames<PathBuf> {
     }
 
     /// Like [`around`](Self::around), for a [frame](super::frame::Frame).
-    pub fn frames_around(&self, number: Option<i64>, reach: u32) -> Arc<[AroundFrame]> {
+    pub fn frames_around(&self, number: Option<i64>, reach: FrameReach) -> Arc<[AroundFrame]> {
         let frame =
             |(steps, number, path): (i32, i64, &PathBuf)| AroundFrame { steps, path: path.clone(), number };
         self.around(number, reach).into_iter().map(frame).collect()
     }
+}
+
+/// The most frames before a frame that it depends on.
+const HISTORY_MAX: usize = 100_000;
+
+/// By how many steps a number is greater than another one, if it is a whole number of them.
+fn steps_between(number: i64, other: i64, step: i64) -> Option<i32> {
+    let far = other.checked_sub(number)?;
+    if far.checked_rem(step)? == 0 { i32::try_from(far / step).ok() } else { None }
 }
 
 /// The difference between the numbers before and after one, from its differences to both.
@@ -230,8 +265,8 @@ fn between(before: Option<i64>, after: Option<i64>) -> Option<i64> {
 #[derive(Default)]
 pub(crate) struct KnownHashes(Mutex<HashMap<PathBuf, (FileStamp, u128)>>);
 
-/// More files than any frames in flight have around them.
-const HASHES_MAX: usize = 4096;
+/// More files than any frames in flight have around them, except those with a long history.
+const HASHES_MAX: usize = 1 << 16;
 
 impl KnownHashes {
     /// The hash of a frame's bytes.
@@ -261,8 +296,15 @@ pub(crate) fn find_around(
     index_policy: IndexPolicy,
 ) -> (Vec<FoundFrame>, Vec<Warning>) {
     let mut warnings = Vec::new();
-    if frame.settings.temporal > 0 && frame.number.is_none() {
+    let (reach, Settings { temporal, rest, .. }) = (frame.settings.frame_reach(), &*frame.settings);
+    if (*temporal > 0 || reach.has_history()) && frame.number.is_none() {
         warnings.push(Warning::Input(InputWarning::NotNumbered));
+    }
+    if let (Some(RestFrames { first, .. }), Some(number)) = (rest, frame.number)
+        && reach.first(number) == Some(i64::from(*first))
+        && !frame.around.iter().any(|around| around.number == i64::from(*first))
+    {
+        warnings.push(Warning::Input(InputWarning::ReferenceMissing { number: *first }));
     }
     let mut find = |around: &AroundFrame| {
         let content = content_of(around, &frame.obstacles, hashes, index_policy);
@@ -317,10 +359,39 @@ mod tests {
         names.iter().map(|name| FrameFile::new(name.into())).collect()
     }
 
+    fn beside(reach: u32) -> FrameReach {
+        FrameReach { beside: reach, ..FrameReach::default() }
+    }
+
+    #[test]
+    fn histories_are_the_frames_since_the_reference() {
+        let mut numbered = NumberedFrames::default();
+        for number in [2, 4, 5, 6, 8, 10, 12] {
+            numbered.insert(number, number);
+        }
+        let reach = FrameReach { rest: Some(RestFrames { first: 4, period: None }), ..beside(1) };
+        let around = |number, reach| -> Vec<(i32, i64)> {
+            numbered.around(Some(number), reach).iter().map(|(steps, at, _)| (*steps, *at)).collect()
+        };
+        assert_eq!(around(10, reach), [(-3, 4), (-2, 6), (-1, 8), (1, 12)]);
+        assert_eq!(around(4, reach), [(-1, 2), (1, 6)]);
+        let whole = FrameReach { whole_history: true, ..FrameReach::default() };
+        assert_eq!(around(8, whole), [(-3, 2), (-2, 4), (-1, 6)]);
+        for reach in [reach, whole, beside(2), beside(0)] {
+            for number in [2, 4, 6, 8, 10, 12] {
+                let mut expected = vec![2, 4, 6, 8, 10, 12];
+                expected.retain(|at| around(*at, reach).iter().any(|(_, other)| *other == number));
+                let mut found: Vec<i64> = numbered.dependent(number, reach).into_iter().copied().collect();
+                found.retain(|at| *at != 5);
+                assert_eq!(found, expected, "{number} with {reach:?}");
+            }
+        }
+    }
+
     fn numbers(given: &[i64], number: i64, reach: u32) -> Vec<(i32, i64)> {
         let names: Vec<String> = given.iter().map(|number| format!("f.{number:04}.ply")).collect();
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        let around = NumberedFrames::of_files(&files(&names)).frames_around(Some(number), reach);
+        let around = NumberedFrames::of_files(&files(&names)).frames_around(Some(number), beside(reach));
         around.iter().map(|frame| (frame.steps, frame.number)).collect()
     }
 
@@ -337,7 +408,7 @@ mod tests {
         assert_eq!(numbers(&[1, 2, 4], 2, 1), [(-1, 1)]);
         assert_eq!(numbers(&[i64::MIN, i64::MAX, 0], 0, 3), [(1, i64::MAX)]);
         let alone = NumberedFrames::of_files(&files(&["drop.ply"]));
-        assert_eq!(alone.frames_around(None, 2).len(), 0);
+        assert_eq!(alone.frames_around(None, beside(2)).len(), 0);
     }
 
     #[test]
@@ -362,7 +433,7 @@ mod tests {
         let names = ["f.0001.ply", "f.0002.25.ply", "f.0002.5.ply", "f.0003.ply", "f.0004.ply"];
         let numbered = NumberedFrames::of_files(&files(&names));
         let steps = |number| -> Vec<i32> {
-            numbered.around(Some(number), 1).iter().map(|(steps, ..)| *steps).collect()
+            numbered.around(Some(number), beside(1)).iter().map(|(steps, ..)| *steps).collect()
         };
         assert_eq!((steps(1), steps(2), steps(3)), (vec![], vec![], vec![1]));
     }
@@ -373,7 +444,7 @@ mod tests {
         let inserted = [4, 8, 6, 7].map(|number| numbered.insert(number, number));
         assert_eq!(inserted, [false, true, true, true]);
         let steps = |numbered: &NumberedFrames<i64>| -> Vec<i32> {
-            numbered.around(Some(6), 2).iter().map(|(steps, ..)| *steps).collect()
+            numbered.around(Some(6), beside(2)).iter().map(|(steps, ..)| *steps).collect()
         };
         assert_eq!(steps(&numbered), [-2, 1, 2]);
         assert!(!numbered.remove(7, &99) && numbered.remove(7, &7));

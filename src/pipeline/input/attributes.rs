@@ -5,6 +5,7 @@ use std::sync::Arc;
 use meniscus_formats::columns::aliases;
 use meniscus_formats::{AttributeRole, FileAttribute, Values};
 
+use crate::surface::attributes::ComputedAttribute;
 use crate::surface::options::{
     Anisotropy, AttributeSelection, OptionName, ReadOptions, Settings, SpacingOptions,
 };
@@ -98,6 +99,14 @@ impl AttributeRequest {
                 name: "velocity".to_owned(),
                 arity: 3,
                 option: OptionName::with_value("anisotropy", "velocity"),
+                is_length: false,
+            });
+        }
+        if settings.rest.is_some() {
+            request.needed.push(RequiredAttribute {
+                name: "id".to_owned(),
+                arity: 1,
+                option: OptionName::new("rest"),
                 is_length: false,
             });
         }
@@ -197,7 +206,22 @@ impl AttributeRequest {
             _ => &[],
         };
         let mut warnings = Vec::new();
-        for name in named.iter().filter(|name| !all.iter().any(|attribute| attribute.matches(name))) {
+        let computed: Vec<ComputedAttribute> = ComputedAttribute::ALL
+            .into_iter()
+            .filter(|computed| computed.is_wanted(self.selected.as_ref(), &all))
+            .collect();
+        let has_role = |role: Role| all.iter().any(|attribute| attribute.role == role);
+        for (attribute, role) in computed.iter().filter_map(|one| Some((one, one.need()?))) {
+            if !has_role(role) {
+                warnings
+                    .push(Warning::Input(InputWarning::NotComputed { name: attribute.name(), needs: role }));
+            }
+        }
+        let is_known = |name: &String| {
+            all.iter().any(|attribute| attribute.matches(name))
+                || computed.iter().any(|computed| name.eq_ignore_ascii_case(computed.name()))
+        };
+        for name in named.iter().filter(|name| !is_known(name)) {
             let available = all.iter().map(|attribute| attribute.name.clone()).collect();
             let warning = InputWarning::MissingAttribute { name: name.clone(), available };
             warnings.push(Warning::Input(warning));
@@ -217,7 +241,8 @@ impl AttributeRequest {
         let is_kept = |attribute: &Attribute| {
             let is_needed = self.needed.iter().any(|needed| needed.is(attribute));
             let is_followed = self.follows && matches!(attribute.role, Role::Id | Role::Velocity);
-            is_needed || is_all || self.keeps_all || is_followed || is_named(attribute)
+            let is_used = computed.iter().any(|computed| computed.need() == Some(attribute.role));
+            is_needed || is_all || self.keeps_all || is_followed || is_used || is_named(attribute)
         };
         let kept = (0..all.len()).filter(|index| is_kept(&all[*index]) || for_filter.contains(index));
         let kept: Vec<Attribute> = kept.filter_map(&mut load).map(attribute).collect();
@@ -265,12 +290,14 @@ pub(super) fn header(attribute: &FileAttribute) -> FileAttribute {
 /// programs write as floats.
 pub(super) fn attribute(attribute: FileAttribute) -> Attribute {
     let FileAttribute { name, arity, role, values } = attribute;
+    let is_rest = matches!(&*name, "rest" | "rest2") && arity == 3;
     let surface_role = match role {
         Some(AttributeRole::Velocity) => Role::Velocity,
         Some(AttributeRole::Acceleration) => Role::Acceleration,
         Some(AttributeRole::Color) => Role::Color,
         Some(AttributeRole::Radius) => Role::Radius,
         Some(AttributeRole::Id) => Role::Id,
+        None if is_rest => Role::Rest,
         Some(AttributeRole::Normal | AttributeRole::Density | AttributeRole::Mass | AttributeRole::Kind)
         | None => Role::Other,
     };
@@ -377,9 +404,15 @@ mod tests {
         let all =
             wanted(MethodOptions { attributes: Some(AttributeSelection::All), ..MethodOptions::default() });
         assert_eq!(kept(&all), ["vel", "rgb", "pscale", "Kind"]);
-        let (_, missing) = named(&["age"]).select(two_particles()).expect("nothing is needed");
+        let (_, missing) = named(&["heat"]).select(two_particles()).expect("nothing is needed");
         let missing = missing[0].to_string();
-        assert!(missing.contains("`age`") && missing.contains("vel, rgb, pscale, Kind"), "{missing}");
+        assert!(missing.contains("`heat`") && missing.contains("vel, rgb, pscale, Kind"), "{missing}");
+        // What is computed needs velocities or ids.
+        assert_eq!(kept(&named(&["speed", "Vorticity"])), ["vel"]);
+        let (kept, missing) =
+            named(&["age", "normal_curvature"]).select(two_particles()).expect("nothing is needed");
+        assert!(kept.is_empty() && missing.len() == 1, "{missing:?}");
+        assert_eq!(missing[0].to_string(), "`age` is not computed: the particles have no ids");
     }
 
     #[test]

@@ -84,7 +84,8 @@ pub fn bounds_of_particles(particles: &OwnedPositions, radius: f64) -> Option<[D
 }
 
 impl PictureScene<'_> {
-    /// The bounding box of the inside, without outliers, in world units; `None` if the inside is empty.
+    /// The bounding box of the inside and of the particles beside it, without outliers, in world units; `None` if there
+    /// are neither.
     pub fn bounds(&self) -> Option<[DVec3; 2]> {
         let inside = negative_masks(&self.band.phi);
         let leaves: Vec<(&LeafMask, _)> =
@@ -94,6 +95,16 @@ impl PictureScene<'_> {
             let CoordBox { min, max } = mask.bounding_box();
             [min, max].map(|corner| (origin + corner).as_dvec3() * self.lattice.voxel_size + self.origin)
         };
-        box_of(leaves.len(), of_leaf)
+        let spray = self.spray.map_or(0, |spray| spray.positions.len());
+        let of_ball = |index: usize| {
+            let (center, radius) = self.spray.map_or((DVec3::NAN, 0.0), |spray| {
+                (spray.positions.position(index), f64::from(spray.radii[index]))
+            });
+            [center - radius, center + radius]
+        };
+        box_of(leaves.len() + spray, |index| match index.checked_sub(leaves.len()) {
+            Some(ball) => of_ball(ball),
+            None => of_leaf(index),
+        })
     }
 }

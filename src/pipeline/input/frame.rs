@@ -117,7 +117,8 @@ impl Frame {
 
     /// Whether its surface is averaged with those of other frames.
     pub(crate) fn is_averaged(&self) -> bool {
-        self.job == Job::Surface && self.settings.temporal > 0 && !self.around.is_empty()
+        let is_averaged = |around: &AroundFrame| around.steps.unsigned_abs() <= self.settings.temporal;
+        self.job == Job::Surface && self.around.iter().any(is_averaged)
     }
 
     /// How many frames are in memory at most while it is computed. All frames that are averaged have the same number,

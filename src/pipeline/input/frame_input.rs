@@ -240,10 +240,8 @@ impl FrameInput {
 
     /// The size of the selected attributes, in bytes per particle.
     pub(crate) fn attribute_bytes(&self, settings: &Settings) -> f64 {
-        let (FrameInput::InMemory(cloud), Some(selection)) = (self, &settings.attributes) else {
-            return 0.0;
-        };
-        let selected = cloud.attributes.iter().filter(|attribute| selection.selects(attribute));
+        let FrameInput::InMemory(cloud) = self else { return 0.0 };
+        let selected = cloud.attributes.iter().filter(|attribute| settings.selects(attribute));
         let bytes: usize = selected.map(|attribute| attribute.values.size_bytes()).sum();
         bytes as f64 / cloud.positions.len().max(1) as f64
     }

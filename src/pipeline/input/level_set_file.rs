@@ -133,6 +133,7 @@ impl LevelSetFile {
             lattice: self.lattice,
             origin: self.origin,
             velocity: self.velocity.as_ref(),
+            spray: None,
         }
     }
 }

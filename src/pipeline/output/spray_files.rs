@@ -25,12 +25,12 @@ pub fn points_of(spray: &Spray) -> ParticleFrame {
         OwnedPositions::F64(positions) => FilePositions::F64(positions.clone()),
     };
     let own = |name: &str, role, values| FileAttribute { name: name.to_owned(), arity: 1, role, values };
-    let table = SprayClass::ALL.iter().map(|class| class.name().to_owned()).collect();
+    // As numbers: Blender's import of USD ignores the attributes after one of text.
     let index =
         |class: &SprayClass| SprayClass::ALL.iter().position(|other| other == class).unwrap_or(0) as i32;
     let count = |count: &u32| i32::try_from(*count).unwrap_or(i32::MAX);
     let mut attributes = vec![
-        own(SPRAY_CLASS, None, Values::Strings { table, indices: spray.classes.iter().map(index).collect() }),
+        own(SPRAY_CLASS, None, Values::I32(spray.classes.iter().map(index).collect())),
         own("spray_size", None, Values::I32(spray.piece_sizes.iter().map(count).collect())),
     ];
     let ages = spray.ages.as_ref();
@@ -68,7 +68,7 @@ pub(crate) fn write_points(
     provenance: &[(String, String)],
     out: &mut impl Write,
 ) -> meniscus_formats::Result<()> {
-    // A stage plays the surfaces only.
-    let options = MeshOptions { time_samples: false, ..outputs.mesh(std::sync::Arc::default()) };
+    let time_samples = outputs.points_have_time_samples();
+    let options = MeshOptions { time_samples, ..outputs.mesh(std::sync::Arc::default()) };
     format.write(points, &options, provenance, out)
 }

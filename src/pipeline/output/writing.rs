@@ -135,7 +135,8 @@ pub(crate) fn encode_picture_of(
     let has_data = format.has_attributes();
     let velocity = if has_data { velocities(surface) } else { None };
     let lattice = Lattice { voxel_size: settings.voxel_size };
-    let scene = PictureScene { band: &surface.band, lattice, origin, velocity: velocity.as_ref() };
+    let (band, spray) = (&surface.band, surface.spray.as_ref());
+    let scene = PictureScene { band, lattice, origin, velocity: velocity.as_ref(), spray };
     let PictureOptions { size, camera } = outputs.picture;
     let bounds = scene.bounds().unwrap_or(EMPTY_BOUNDS);
     let viewpoint = camera.viewpoint(bounds, outputs.picture.aspect(), up_of(outputs.up));
@@ -241,7 +242,7 @@ pub(super) fn file_role(role: Role) -> Option<AttributeRole> {
         Role::Color => Some(AttributeRole::Color),
         Role::Radius => Some(AttributeRole::Radius),
         Role::Id => Some(AttributeRole::Id),
-        Role::Other => None,
+        Role::Rest | Role::Other => None,
     }
 }
 

@@ -7,7 +7,7 @@ use meniscus_formats::compression::read_head;
 use meniscus_formats::container::is_container;
 use meniscus_formats::provenance::{CONTENTS, SPRAY};
 use meniscus_formats::{
-    Content, Format, Neighbor, OutputFormat, has_columns, looks_like_particles, neighbor, probe,
+    Content, Format, Neighbor, OutputFormat, PointFormat, has_columns, looks_like_particles, neighbor, probe,
     read_provenance,
 };
 
@@ -19,7 +19,7 @@ use crate::pipeline::input::level_set_file::is_level_set;
 use crate::pipeline::input::source::promises_particles;
 use crate::pipeline::input::steps::{ContainerContent, content_of_container};
 use crate::pipeline::output::spray_files::SPRAY_CLASS;
-use crate::pipeline::target::outputs::{OutputKind, OutputOptions, has_spray_name};
+use crate::pipeline::target::outputs::{OutputKind, OutputOptions, has_spray_name, spray_path};
 use crate::surface::options::ColumnNames;
 
 /// The kind of a file, by its first bytes.
@@ -156,6 +156,13 @@ fn is_irreplaceable(path: &Path, job: Job) -> io::Result<bool> {
 fn head_and_name(path: &Path) -> io::Result<(Vec<u8>, String)> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     Ok((read_head(open_regular(path)?, HEAD_BYTES)?, name))
+}
+
+/// The points beside a mesh that this program wrote, if there are any.
+pub fn spray_beside(mesh: &Path) -> Option<PathBuf> {
+    let (folder, stem) = (mesh.parent()?, mesh.file_stem()?.to_string_lossy());
+    let mut paths = PointFormat::ALL.into_iter().map(|format| spray_path(folder, &stem, format));
+    paths.find(|path| path.is_file() && is_spray(path))
 }
 
 /// Whether a file has points that this program wrote beside a surface; false if it cannot be read.

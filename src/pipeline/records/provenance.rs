@@ -9,7 +9,7 @@ use std::path::Path;
 
 use meniscus_formats::provenance::{CONTENTS, PARTICLES, SPRAY};
 use meniscus_formats::{PointFormat, WriteOption, read_provenance};
-use twox_hash::XxHash3_64;
+use twox_hash::{XxHash3_64, XxHash3_128};
 
 use crate::surface::options::{MethodOptions, OptionGroup, Pairs, ReadOptions, Settings};
 
@@ -78,14 +78,17 @@ pub(crate) fn spray_provenance(
 }
 
 /// The settings that affect which particles are spray, and their points.
-const OF_SPRAY: [&str; 9] = [
+const OF_SPRAY: [&str; 12] = [
     "spacing",
     "radius_init",
     "columns",
     "where",
     "radius_attribute",
     "radius_scale",
+    "attributes",
     "velocity_scale",
+    "rest",
+    "rest_period",
     "spray",
     "spray_keep",
 ];
@@ -95,6 +98,9 @@ fn points_option_pairs(options: &OutputOptions, format: PointFormat) -> Pairs {
     let [up, unit] =
         [WriteOption::Up, WriteOption::MetersPerUnit].map(|option| (option.name(), options.value(option)));
     match format {
+        PointFormat::Usda if options.points_have_time_samples() => {
+            vec![up, unit, (WriteOption::TimeSamples.name(), true.to_string())]
+        }
         PointFormat::Usda | PointFormat::Usdc => vec![up, unit],
         PointFormat::Abc => vec![up],
         PointFormat::Ply | PointFormat::Vtp | PointFormat::Bgeo | PointFormat::Npy => Pairs::new(),
@@ -103,8 +109,18 @@ fn points_option_pairs(options: &OutputOptions, format: PointFormat) -> Pairs {
 
 fn made_from_around(frame: &Frame, input_hash: u128, around: &[RecordedAround]) -> Pairs {
     let mut pairs = made_from(&frame.input, input_hash);
+    // A long history would fill the file.
+    let beside = frame.settings.frame_reach().beside;
+    let (around, history): (Vec<_>, Vec<_>) =
+        around.iter().partition(|around| around.steps.unsigned_abs() <= beside);
+    if let [first, .., last] | [first @ last] = &history[..] {
+        let hashes: Vec<u8> =
+            history.iter().flat_map(|frame| frame.hash.unwrap_or(0).to_le_bytes()).collect();
+        let (count, hash) = (history.len(), hash_text(XxHash3_128::oneshot(&hashes)));
+        pairs.push(("history", format!("{count} frames from {} to {} {hash}", first.name, last.name)));
+    }
     if !around.is_empty() {
-        let text = |RecordedAround { steps, name, hash, obstacles }: &RecordedAround| {
+        let text = |RecordedAround { steps, name, hash, obstacles }: &&RecordedAround| {
             let with = if obstacles.is_empty() { String::new() } else { format!(" with {obstacles}") };
             format!("{steps:+} {name} {}{with}", hash_text(hash.unwrap_or(0)))
         };

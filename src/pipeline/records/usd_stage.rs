@@ -2,6 +2,7 @@
 //!
 //! ```text
 //!   out/dam.0012.usdc  out/dam.0013.usdc  ..  ◀── shot.usda ──▶  out/dam.0012.vdb  ..
+//!                                                   └──────────▶  out/dam.0012.spray.usdc  ..
 //! ```
 //!
 //! A stage depends only on the names of the frames, and on the files that exist, of which the largest define
@@ -19,7 +20,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use meniscus_formats::usda::{ClipFile, SampledProperty, StageClips, UsdStage, stage_text};
-use meniscus_formats::{Limits, is_complete, read_provenance, usda, usdc, vdb};
+use meniscus_formats::{Limits, PointFormat, is_complete, read_provenance, usda, usdc, vdb};
 
 use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use super::sequence_file::{SequenceError, increasing};
@@ -27,7 +28,9 @@ use crate::pipeline::files::atomic_write::write_atomically;
 use crate::pipeline::files::frame_number::natural_order;
 use crate::pipeline::files::identity::real_path;
 use crate::pipeline::files::open::open_regular;
-use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, UsdStageOptions, output_path};
+use crate::pipeline::target::outputs::{
+    OutputFormat, OutputOptions, UsdStageOptions, output_path, spray_path,
+};
 
 /// The frames of a sequence in a stage, whether their files exist or not.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -48,6 +51,8 @@ pub struct UsdStageFrame {
     pub mesh: Option<PathBuf>,
     /// The path of its level set in OpenVDB, if it is among the outputs.
     pub volume: Option<PathBuf>,
+    /// The path of the points beside its surface in USD, if they are among the outputs.
+    pub points: Option<PathBuf>,
 }
 
 impl UsdStageFrame {
@@ -59,6 +64,7 @@ impl UsdStageFrame {
             number,
             mesh: outputs.stage_mesh_format().map(path),
             volume: has_volume.then(|| path(OutputFormat::Vdb)),
+            points: outputs.stage_points_format().map(|format| spray_path(&outputs.folder, stem, format)),
         }
     }
 
@@ -73,7 +79,7 @@ impl UsdStageFrame {
     }
 
     fn files(&self) -> impl Iterator<Item = &PathBuf> {
-        [&self.mesh, &self.volume].into_iter().flatten()
+        [&self.mesh, &self.volume, &self.points].into_iter().flatten()
     }
 }
 
@@ -94,6 +100,8 @@ pub struct UsdStageReport {
     pub mesh_count: usize,
     /// The number of level sets.
     pub volume_count: usize,
+    /// The number of files of points.
+    pub points_count: usize,
     /// The names of the files that do not exist yet, in the order of the frames.
     pub missing: Vec<String>,
     /// Which frames are left out although their files exist, and why: a sentence each.
@@ -202,6 +210,8 @@ fn stage_of(
 ) -> Result<Option<(UsdStage, UsdStageReport)>, String> {
     let mut assets = AssetPaths::new(&options.path)?;
     let format = outputs.stage_mesh_format().unwrap_or(OutputFormat::Usdc);
+    let are_points_text = outputs.stage_points_format() == Some(PointFormat::Usda);
+    let points_format = if are_points_text { OutputFormat::Usda } else { OutputFormat::Usdc };
     let (mut found, mut report) = (Vec::new(), UsdStageReport::default());
     for (name, frames) in merged(sequences) {
         let (frames, beyond): (Vec<_>, Vec<_>) = frames.into_iter().partition(|frame| frame.has_time_code());
@@ -217,20 +227,29 @@ fn stage_of(
             ExistingFiles::of(frames.iter().map(|frame| frame.volume.as_deref()), &codes, &mut assets)?;
         let largest =
             volumes.largest_first().first().and_then(|&index| open_regular(volumes.sizes[index].1).ok());
-        let (declared_by, properties) = defining(&meshes, format).unwrap_or_else(|why| {
-            report.left_out.push(why);
-            meshes.unlist();
-            (0, Vec::new())
-        });
-        report.add(&meshes, &volumes);
+        let mut points =
+            ExistingFiles::of(frames.iter().map(|frame| frame.points.as_deref()), &codes, &mut assets)?;
+        let (declared_by, properties) = meshes.defining(format, &mut report);
+        let (points_declared_by, point_properties) = points.defining(points_format, &mut report);
+        report.add(&meshes, &volumes, &points);
+        let has_points = frames.iter().any(|frame| frame.points.is_some());
         found.push(StageClips {
             name: prim_name(name),
+            are_points: false,
             declared_by,
             properties,
             meshes: meshes.clips,
             volumes: volumes.clips,
             has_velocity: largest.is_some_and(|mut file| vdb::has_velocity(&mut file).unwrap_or(false)),
         });
+        found.extend(has_points.then(|| StageClips {
+            name: format!("{}_spray", prim_name(name)),
+            are_points: true,
+            declared_by: points_declared_by,
+            properties: point_properties,
+            meshes: points.clips,
+            ..StageClips::default()
+        }));
     }
     let OutputOptions { up, meters_per_unit, .. } = *outputs;
     let stage =
@@ -311,6 +330,19 @@ impl<'a> ExistingFiles<'a> {
         Ok(ExistingFiles { clips, sizes, states })
     }
 
+    /// See [`defining`]. If no file can define the attributes, says why, and removes all files from the stage.
+    fn defining(
+        &mut self,
+        format: OutputFormat,
+        report: &mut UsdStageReport,
+    ) -> (usize, Vec<SampledProperty>) {
+        defining(self, format).unwrap_or_else(|why| {
+            report.left_out.push(why);
+            self.unlist();
+            (0, Vec::new())
+        })
+    }
+
     /// Removes all files from the stage.
     fn unlist(&mut self) {
         self.clips.clear();
@@ -328,11 +360,12 @@ impl<'a> ExistingFiles<'a> {
 
 impl UsdStageReport {
     /// Adds the files of the frames of a sequence.
-    fn add(&mut self, meshes: &ExistingFiles, volumes: &ExistingFiles) {
+    fn add(&mut self, meshes: &ExistingFiles, volumes: &ExistingFiles, points: &ExistingFiles) {
         self.mesh_count += meshes.clips.len();
         self.volume_count += volumes.clips.len();
-        for (mesh, volume) in meshes.states.iter().zip(&volumes.states) {
-            let files = [*mesh, *volume];
+        self.points_count += points.clips.len();
+        for ((mesh, volume), points) in meshes.states.iter().zip(&volumes.states).zip(&points.states) {
+            let files = [*mesh, *volume, *points];
             self.frame_count += usize::from(files.iter().any(|state| matches!(state, FileState::Listed)));
             let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             self.missing.extend(files.iter().filter_map(|state| match state {
@@ -549,8 +582,13 @@ mod tests {
         }
         fs::write(folder.path().join("out/dam.4.vdb"), "volume").expect("written");
         let missing = ["dam.1.vdb", "dam.2.vdb", "dam.3.usdc", "dam.3.vdb"].map(str::to_owned).to_vec();
-        let report =
-            UsdStageReport { frame_count: 3, mesh_count: 3, volume_count: 1, missing, left_out: vec![] };
+        let report = UsdStageReport {
+            frame_count: 3,
+            mesh_count: 3,
+            volume_count: 1,
+            missing,
+            ..UsdStageReport::default()
+        };
         assert_eq!(write_stage(&outputs, &frames).expect("written"), Some(report));
         let text = fs::read_to_string(folder.path().join("shot.usda")).expect("written");
         for part in [

@@ -7,7 +7,6 @@ use std::sync::Arc;
 
 use crossbeam::channel::Sender;
 use meniscus_formats::Error;
-use twox_hash::XxHash3_128;
 
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::around::{
@@ -16,7 +15,7 @@ use crate::pipeline::input::around::{
 use crate::pipeline::input::filter::keep_chosen;
 use crate::pipeline::input::frame::Frame;
 use crate::pipeline::input::frame_input::FrameInput;
-use crate::pipeline::input::reading::{read_frame_unchanged, read_particles_of};
+use crate::pipeline::input::reading::read_particles_of;
 use crate::pipeline::method::{self, FrameInStages};
 use crate::pipeline::reconstruct::LoadedFrame;
 use crate::pipeline::warning::Warning;
@@ -232,11 +231,7 @@ fn smoothed_alone(
     let (content, settings) = (&key.content, &frame.settings);
     let path = &content.path;
     let failed = |cause| FrameError { path: path.clone(), during: Stage::Read, cause };
-    let read = read_frame_unchanged(path, shared.options.index_policy);
-    let read = read.map_err(|error| failed(Cause::File(error)))?;
-    let Some((bytes, _)) = read.filter(|(bytes, _)| XxHash3_128::oneshot(bytes) == content.hash) else {
-        return Err(failed(Cause::Changed));
-    };
+    let bytes = shared.bytes_of(path, content.hash)?;
     let loaded = LoadedFrame::of_bytes(path, Some(around.number), &bytes, settings)?;
     drop(bytes);
     // Its own conversion warns of what is wrong with its surroundings.

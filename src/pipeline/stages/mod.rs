@@ -29,13 +29,14 @@
 //! waits for room in a channel. `smoothed` keeps frames for those that are averaged with them.
 
 mod compute;
+mod history;
 mod read;
 mod smoothed;
 mod spray;
 mod write;
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 use std::time::Instant;
@@ -43,23 +44,28 @@ use std::time::Instant;
 use crossbeam::channel::{Receiver, Sender, bounded};
 use meniscus_formats::ParticleFrame;
 use rayon::ThreadPool;
+use twox_hash::XxHash3_128;
 
 use crate::pipeline::budget::{Budget, Reservation};
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::around::{FoundFrame, KnownHashes};
+use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame::{Frame, InputState, Outcome, Seconds};
 use crate::pipeline::input::frame_input::FrameInput;
 use crate::pipeline::input::obstacles::FrameObstacles;
+use crate::pipeline::input::reading::{parse_particles, read_frame_unchanged};
 use crate::pipeline::input::steps::IndexPolicy;
 use crate::pipeline::memory::default_memory_bytes;
 use crate::pipeline::observer::Observer;
 use crate::pipeline::scheduler::{Scheduler, TaskQueue};
 use crate::pipeline::semaphore::{Permit, Semaphore};
 use crate::pipeline::warning::Warning;
+use crate::surface::particles::ParticleCloud;
 use crate::surface::reconstruction::MemoryPlan;
 use crate::surface::spray::Spray;
 
 use compute::{contour_stage, rasterize_stage, smooth_stage};
+use history::KnownHistories;
 use smoothed::{Computing, Gate, SmoothedFrames, User};
 use spray::KnownSides;
 
@@ -218,7 +224,10 @@ fn drive<'scope, 'env: 'scope, K: Send + 'env>(
             let mut gate = Gate::new(&to_contour_from, smoothed);
             let receive = || {
                 gate.receive(|item: &WorkItem<'_, _, _>| {
-                    let mut around = item.info.around.iter().map(|found| &*found.frame.path);
+                    let reach = item.frame.settings.temporal;
+                    let is_averaged = |found: &&FoundFrame| found.frame.steps.unsigned_abs() <= reach;
+                    let mut around =
+                        item.info.around.iter().filter(is_averaged).map(|found| &*found.frame.path);
                     !smoothed.is_computing(&mut around)
                 })
             };
@@ -240,6 +249,7 @@ struct StageContext<'env> {
     smoothed: SmoothedFrames,
     hashes: KnownHashes,
     sides: KnownSides,
+    histories: KnownHistories,
     /// The place of the first frame that failed.
     first_failed: AtomicUsize,
 }
@@ -344,8 +354,28 @@ impl<'env> StageContext<'env> {
             smoothed: SmoothedFrames::new(options.memory_bytes / KEPT_SHARE),
             hashes: KnownHashes::default(),
             sides: KnownSides::new(options.memory_bytes / KEPT_SHARE),
+            histories: KnownHistories::default(),
             first_failed: AtomicUsize::new(usize::MAX),
         }
+    }
+
+    /// The bytes of another frame, if their hash is this one.
+    fn bytes_of(&self, path: &Path, hash: u128) -> Result<Vec<u8>, FrameError> {
+        let failed = |cause| FrameError { path: path.to_owned(), during: Stage::Read, cause };
+        let read = read_frame_unchanged(path, self.options.index_policy);
+        let read = read.map_err(|error| failed(Cause::File(error)))?;
+        let read = read.filter(|(bytes, _)| XxHash3_128::oneshot(bytes) == hash);
+        read.map(|(bytes, _)| bytes).ok_or_else(|| failed(Cause::Changed))
+    }
+
+    /// The particles of another frame, if the hash of its bytes is this one.
+    fn particles_of(
+        &self,
+        path: &Path,
+        hash: u128,
+        wanted: &AttributeRequest,
+    ) -> Result<ParticleCloud, FrameError> {
+        Ok(parse_particles(path, &self.bytes_of(path, hash)?, wanted)?.cloud)
     }
 
     /// Reports that a frame begins a stage.

@@ -29,10 +29,13 @@ use crate::pipeline::method;
 use crate::pipeline::records::content::irreplaceable_output;
 use crate::pipeline::records::provenance::MadeFrom;
 use crate::pipeline::warning::{InputWarning, Warning};
+use crate::surface::attributes::add_computed;
+use crate::surface::particles::ParticleCloud;
 use crate::surface::reconstruction::MemoryPlan;
 use crate::surface::spray::Spray;
 
 use super::compute::is_of_content;
+use super::history::HistoryNotes;
 use super::spray::{SeparatedCloud, with_around};
 use super::{
     FinishedFrame, InputInfo, InputNotes, ObstacleSummary, ReadContent, Stages, WorkItem, outcome_of,
@@ -210,16 +213,20 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         self.end_if_done(frame, input, &obstacles.recorded(), &around)?;
         let (given, others) = (frame.clone(), around.clone());
         let parse = move || {
-            let read = parse_particles(&given.input, &bytes, &wanted)?;
+            let mut read = parse_particles(&given.input, &bytes, &wanted)?;
             drop(bytes);
-            let mut warnings = [read.warnings, left_out_warnings].concat();
+            let HistoryNotes { warnings: of_history, mut unread } =
+                shared.follow_back(&mut read.cloud, (&given, input.hash), &others);
+            let ParticleCloud { positions, attributes, .. } = &mut read.cloud;
+            add_computed(positions, attributes, &given.settings);
+            let mut warnings = [read.warnings, left_out_warnings, of_history].concat();
             let sequence = with_around(&given, input.hash, &others);
             let SeparatedCloud { fluid, spray, lacks_ids, failures } =
                 shared.without_spray(read.cloud, &given.settings, &sequence, 0);
             warnings.extend(lacks_ids.then_some(Warning::Input(InputWarning::SprayWithoutIds)));
             warnings.extend(failures.iter().map(|(_, error)| not_averaged(error)));
             let may_be_read = failures.iter().filter(|(_, error)| !is_of_content(&error.cause, ""));
-            let unread = may_be_read.map(|(steps, _)| *steps).collect();
+            unread.extend(may_be_read.map(|(steps, _)| *steps));
             let noted = InputNotes { warnings, unused_velocity: read.unused_velocity, spray, unread };
             Ok((FrameInput::InMemory(fluid), noted))
         };
@@ -317,7 +324,7 @@ fn unreadable(frame: &Frame, error: impl Into<meniscus_formats::Error>) -> Outco
 fn reading_memory(frame: &Frame) -> u64 {
     match frame.job {
         // The parsed data include all attributes, and are divided; or a frame around is read and parsed beside them.
-        Job::Surface if frame.settings.spray > 0 => 4,
+        Job::Surface if frame.settings.spray > 0 || frame.settings.frame_reach().has_history() => 4,
         Job::Surface => 2,
         // The parsed data include all attributes.
         Job::Particles => 3,

@@ -5,13 +5,10 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use twox_hash::XxHash3_128;
-
-use crate::pipeline::error::{Cause, FrameError, Stage};
+use crate::pipeline::error::FrameError;
 use crate::pipeline::input::around::FoundFrame;
 use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame::Frame;
-use crate::pipeline::input::reading::{parse_particles, read_frame_unchanged};
 use crate::surface::options::Settings;
 use crate::surface::particles::ParticleCloud;
 use crate::surface::reconstruction::ApartParticles;
@@ -164,14 +161,7 @@ impl StageContext<'_> {
         if let Some(known) = self.sides.find(path, hash, settings) {
             return Ok(known);
         }
-        let failed = |cause| FrameError { path: path.to_owned(), during: Stage::Read, cause };
-        let read = read_frame_unchanged(path, self.options.index_policy);
-        let read = read.map_err(|error| failed(Cause::File(error)))?;
-        let Some((bytes, _)) = read.filter(|(bytes, _)| XxHash3_128::oneshot(bytes) == hash) else {
-            return Err(failed(Cause::Changed));
-        };
-        let cloud = parse_particles(path, &bytes, &AttributeRequest::for_sides(settings))?.cloud;
-        drop(bytes);
+        let cloud = self.particles_of(path, hash, &AttributeRequest::for_sides(settings))?;
         let apart = ApartParticles::find(&cloud.positions, &cloud.attributes, settings);
         let sides = apart.by_ids();
         self.keep_sides(path, hash, settings, sides.clone());
@@ -181,6 +171,6 @@ impl StageContext<'_> {
     fn keep_sides(&self, path: &Path, hash: u128, settings: &Arc<Settings>, sides: Option<Arc<FrameSides>>) {
         let frame = FrameWithSides { path: path.to_owned(), hash, settings: Arc::clone(settings), sides };
         // Frames in flight are looked at in any order.
-        self.sides.keep(frame, 2 * settings.frames_around() as usize + 2 * self.options.in_flight);
+        self.sides.keep(frame, 2 * settings.frame_reach().beside as usize + 2 * self.options.in_flight);
     }
 }

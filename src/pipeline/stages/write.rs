@@ -185,5 +185,6 @@ fn base_report(
 /// The bounding box of the surface, without outliers.
 fn bounds_of(surface: &FrameSurface, frame: &Frame) -> Option<[DVec3; 2]> {
     let lattice = Lattice { voxel_size: frame.settings.voxel_size };
-    PictureScene { band: &surface.band, lattice, origin: frame.job.origin(), velocity: None }.bounds()
+    let (origin, spray) = (frame.job.origin(), surface.spray.as_ref());
+    PictureScene { band: &surface.band, lattice, origin, velocity: None, spray }.bounds()
 }

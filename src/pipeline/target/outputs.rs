@@ -163,6 +163,16 @@ impl OutputOptions {
         [OutputFormat::Usdc, OutputFormat::Usda].into_iter().find(|format| self.formats.contains(format))
     }
 
+    /// The format of the points beside the surfaces that a stage plays.
+    pub(crate) fn stage_points_format(&self) -> Option<PointFormat> {
+        [PointFormat::Usdc, PointFormat::Usda].into_iter().find(|format| self.spray.contains(format))
+    }
+
+    /// Whether the .usda files of points have their arrays as time samples, too.
+    pub(crate) fn points_have_time_samples(&self) -> bool {
+        self.stage.is_some() && self.stage_points_format() == Some(PointFormat::Usda)
+    }
+
     /// Whether the .usda files of the frames have their arrays as time samples, too.
     fn has_time_samples(&self) -> bool {
         self.stage.is_some() && self.stage_mesh_format() == Some(OutputFormat::Usda)

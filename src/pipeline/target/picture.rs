@@ -10,13 +10,14 @@ use meniscus_formats::{
     Content, Error, OutputFormat, PictureLayer, PictureView, PixelSamples, Provenance, UpAxis,
 };
 
-use crate::render::{self, Layers, Picture, Up};
+use crate::render::{self, Balls, Layers, Picture, Up};
 use crate::surface::attributes::BandAttribute;
 use crate::surface::grid::Field;
 use crate::surface::level_set::NarrowBand;
 use crate::surface::particles::Role;
 use crate::surface::reconstruction::FrameSurface;
 use crate::surface::space::Lattice;
+use crate::surface::spray::Spray;
 
 use super::viewpoint::{CameraChoice, Viewpoint};
 
@@ -63,25 +64,35 @@ impl PictureOptions {
 const PIXEL_BYTES: u64 = 60;
 const PIXEL_BYTES_WITH_DATA: u64 = 130;
 
-/// A level set to render.
+/// A level set to render, with the particles beside it.
 #[derive(Clone, Copy, Debug)]
 pub struct PictureScene<'a> {
     /// The level set.
     pub band: &'a NarrowBand,
     /// Its voxels.
     pub lattice: Lattice,
-    /// The position of voxel (0, 0, 0), world units.
+    /// The position of voxel (0, 0, 0), world units; 0 beside particles.
     pub origin: DVec3,
     /// Velocities at the voxels of the band, x, y and z, world units per second.
     pub velocity: Option<&'a [Field; 3]>,
+    /// The particles beside the surface.
+    pub spray: Option<&'a Spray>,
 }
 
 impl PictureScene<'_> {
     /// Renders a picture, with the data of its pixels if `data` is set.
     pub fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], data: bool) -> Picture {
         let view = viewpoint.moved(-self.origin).view(size);
-        let mut picture =
-            render::render(self.band, &self.lattice, &view, Layers { data, velocity: self.velocity });
+        let layers = Layers { data, velocity: self.velocity };
+        let mut picture = match self.spray {
+            Some(spray) => {
+                let velocities = spray.velocities();
+                let (positions, radii) = ((&spray.positions).into(), &spray.radii[..]);
+                let balls = Balls { positions, radii, velocities: &velocities };
+                render::render_with_balls(self.band, &self.lattice, balls, &view, layers)
+            }
+            None => render::render(self.band, &self.lattice, &view, layers),
+        };
         if self.origin != DVec3::ZERO
             && let Some(data) = &mut picture.data
         {

@@ -1,4 +1,4 @@
-//! Frames that depend on those around them (`--temporal`, `--spray`): when each may start, and when it is converted
+//! Frames that depend on those around them (`--temporal`, `--spray`, `--rest`): when each may start, and when it is converted
 //! again.
 //!
 //! ```text
@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use crate::pipeline::{AroundFrame, Job, Reason, RecordedAround, UnfinishedState};
-use crate::surface::options::Settings;
+use crate::surface::options::{FrameReach, Settings};
 
 use super::frames::{FrameId, FramePhase, FrameState, TriedAround};
 use super::sequences::SequenceSettings;
@@ -54,8 +54,8 @@ impl Core {
     fn doubt_around_number(&mut self, sequence: usize, number: i64) {
         let Some(reach) = self.reach_in(sequence) else { return };
         let numbered = &self.sequences.get(sequence).numbered;
-        let around = numbered.around(Some(number), reach).into_iter().map(|(.., id)| id);
-        let doubtful: Vec<FrameId> = around.chain(numbered.only(number)).cloned().collect();
+        let dependent = numbered.dependent(number, reach);
+        let doubtful: Vec<FrameId> = dependent.into_iter().chain(numbered.only(number)).cloned().collect();
         self.doubt(sequence, doubtful);
     }
 
@@ -82,16 +82,16 @@ impl Core {
         }
     }
 
-    /// The known frames up to `reach` steps before and after a frame, with the number of steps and their numbers.
-    fn known_around(&self, id: &FrameId, reach: u32) -> Vec<(i32, i64, FrameId)> {
-        let Some(frame) = self.frames.get(id).filter(|_| reach > 0) else { return Vec::new() };
+    /// The known frames that a frame depends on, with the number of steps and their numbers.
+    fn known_around(&self, id: &FrameId, reach: FrameReach) -> Vec<(i32, i64, FrameId)> {
+        let Some(frame) = self.frames.get(id).filter(|_| !reach.is_none()) else { return Vec::new() };
         let around = self.sequences.get(frame.sequence).numbered.around(self.number_of(id), reach);
         around.into_iter().map(|(steps, number, id)| (steps, number, id.clone())).collect()
     }
 
     /// The complete frames that a frame depends on.
     pub(super) fn frames_around(&self, id: &FrameId, settings: &Settings) -> Arc<[AroundFrame]> {
-        let around = self.known_around(id, settings.frames_around()).into_iter();
+        let around = self.known_around(id, settings.frame_reach()).into_iter();
         let complete = around.filter(|(.., id)| self.is_complete(id));
         complete
             .map(|(steps, number, id)| AroundFrame { steps, path: id.path.to_path_buf(), number })
@@ -106,7 +106,8 @@ impl Core {
     /// Whether a held frame waits for others that it depends on. It waits for files that exist and, unless
     /// [`WatchConfig::once`](crate::watch::config::WatchConfig::once) is set, for frames after it that may still come.
     pub(super) fn awaits_frames_around(&mut self, id: &FrameId, settings: &Settings) -> bool {
-        let waits = settings.frames_around() > 0 && self.has_to_wait(id, settings.frames_around());
+        let reach = settings.frame_reach();
+        let waits = !reach.is_none() && self.has_to_wait(id, reach);
         let (now, wait) = (self.now.at, self.config.temporal_wait);
         let Some(frame) = self.frames.get_mut(id).filter(|_| waits) else {
             self.waiting_around.remove(id);
@@ -126,7 +127,7 @@ impl Core {
         true
     }
 
-    fn has_to_wait(&self, id: &FrameId, reach: u32) -> bool {
+    fn has_to_wait(&self, id: &FrameId, reach: FrameReach) -> bool {
         if self.config.once && !self.was_scanned(id.root) {
             return true;
         }
@@ -139,7 +140,7 @@ impl Core {
             return true;
         }
         let Some((frame, number)) = self.frames.get(id).zip(self.number_of(id)) else { return false };
-        !self.config.once && self.sequences.get(frame.sequence).numbered.may_grow_after(number, reach)
+        !self.config.once && self.sequences.get(frame.sequence).numbered.may_grow_after(number, reach.beside)
     }
 
     /// Whether all that a root has is known, or cannot be known because it hangs.
@@ -149,20 +150,24 @@ impl Core {
 
     /// A frame is complete or was converted: those around it may have to be converted again.
     pub(super) fn doubt_frames_around(&mut self, id: &FrameId) {
-        if let Some((reach, frame)) = self.reach_of(id).zip(self.frames.get(id)) {
-            let (sequence, around) = (frame.sequence, self.known_around(id, reach));
-            self.doubt(sequence, around.into_iter().map(|(.., id)| id));
+        if let Some(((reach, frame), number)) =
+            self.reach_of(id).zip(self.frames.get(id)).zip(self.number_of(id))
+        {
+            let sequence = frame.sequence;
+            let dependent = self.sequences.get(sequence).numbered.dependent(number, reach);
+            let dependent: Vec<FrameId> = dependent.into_iter().cloned().collect();
+            self.doubt(sequence, dependent);
         }
     }
 
-    /// On how many frames on each side a frame depends; `None` on none, and while its settings are unknown.
-    fn reach_of(&self, id: &FrameId) -> Option<u32> {
+    /// The frames that a frame depends on; `None` if its settings are unknown.
+    fn reach_of(&self, id: &FrameId) -> Option<FrameReach> {
         self.reach_in(self.frames.get(id).filter(|_| self.depends_on_others(id.root))?.sequence)
     }
 
-    fn reach_in(&self, sequence: usize) -> Option<u32> {
+    fn reach_in(&self, sequence: usize) -> Option<FrameReach> {
         match &self.sequences.get(sequence).settings {
-            SequenceSettings::Fixed(settings, _) => Some(settings.frames_around()),
+            SequenceSettings::Fixed(settings, _) => Some(settings.frame_reach()),
             _ => None,
         }
     }
@@ -195,7 +200,6 @@ impl Core {
         let Some(reach) = self.reach_of(id) else { return };
         let done = |id: &FrameId| self.record_of(id).and_then(|record| record.done.as_ref());
         let Some(recorded) = done(id).map(|record| record.around.clone()) else { return };
-        let place = |around: &RecordedAround| (around.steps, around.name.clone());
         let complete = self.known_around(id, reach).into_iter().filter(|(.., id)| self.is_complete(id));
         let current: Vec<TriedAround> = complete
             .map(|(steps, number, around)| {
@@ -212,16 +216,19 @@ impl Core {
                     return TriedAround { around: unknown, failed };
                 }
                 // Until it is done or has failed, its content counts as unchanged.
-                let known = recorded.iter().find(|recorded| place(recorded) == place(&unknown));
+                let known = at_steps(&recorded, steps).filter(|recorded| recorded.name == unknown.name);
                 TriedAround { around: known.cloned().unwrap_or(unknown), failed: None }
             })
             .collect();
         let is_elsewhere = |recorded: &RecordedAround| {
-            !current.iter().any(|tried| place(&tried.around) == place(recorded))
+            let known = current.binary_search_by_key(&recorded.steps, |tried| tried.around.steps);
+            !known.is_ok_and(|index| current[index].around.name == recorded.name)
                 && self.exists_beside(id, &recorded.name)
         };
         // The content of a frame that failed is not known: the pipeline compares it.
-        let is_new = |tried: &TriedAround| tried.failed.is_some() || !recorded.contains(&tried.around);
+        let is_new = |tried: &TriedAround| {
+            tried.failed.is_some() || at_steps(&recorded, tried.around.steps) != Some(&tried.around)
+        };
         let is_other = current.iter().any(is_new) || recorded.iter().any(is_elsewhere);
         let Some(frame) = self.frames.get_mut(id).filter(|_| is_other) else { return };
         if frame.tried_around.as_ref() == Some(&current) {
@@ -242,4 +249,9 @@ impl Core {
         let beside = if id.is_step() { FrameId::step(id.root, &path) } else { FrameId::new(id.root, &path) };
         beside != *id && self.is_complete(&beside)
     }
+}
+
+/// The frame by so many steps later, among frames in order.
+fn at_steps(around: &[RecordedAround], steps: i32) -> Option<&RecordedAround> {
+    around.binary_search_by_key(&steps, |around| around.steps).ok().and_then(|index| around.get(index))
 }

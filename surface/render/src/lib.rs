@@ -17,12 +17,14 @@
 
 #![warn(clippy::match_bool)]
 
+mod balls;
 mod camera;
 mod mesh;
 mod sheet;
 mod sky;
 mod surface;
 mod tile;
+mod tree;
 
 use glam::DVec3;
 use meniscus_surface::checkpoint;
@@ -32,10 +34,12 @@ use meniscus_surface::particles::OwnedPositions;
 use meniscus_surface::space::Lattice;
 use rayon::prelude::*;
 
+pub use balls::Balls;
 pub use camera::{Camera, CameraPlacement, Up};
 pub use mesh::TriangleMesh;
 pub use sheet::{Cell, CellGroup, CellPicture, Line, Plot, Sheet, side_by_side, stacked};
 
+use balls::WithBalls;
 use mesh::RayMesh;
 use sky::Sky;
 use surface::RaySurface;
@@ -97,6 +101,19 @@ pub struct Layers<'a> {
 /// Renders a level set.
 pub fn render(band: &NarrowBand, lattice: &Lattice, view: &View, layers: Layers) -> Picture {
     let (surface, sky) = rayon::join(|| RaySurface::new(band, layers.velocity), || Sky::new(band));
+    trace((&surface, lattice.voxel_size), &sky, view, layers)
+}
+
+/// Renders a level set and the balls beside it.
+pub fn render_with_balls(
+    band: &NarrowBand,
+    lattice: &Lattice,
+    balls: Balls<'_>,
+    view: &View,
+    layers: Layers,
+) -> Picture {
+    let (surface, sky) = rayon::join(|| RaySurface::new(band, layers.velocity), || Sky::new(band));
+    let surface = WithBalls::new(&surface, balls, lattice.voxel_size);
     trace((&surface, lattice.voxel_size), &sky, view, layers)
 }
 

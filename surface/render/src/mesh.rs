@@ -1,16 +1,17 @@
 //! Ray intersection with the triangles of a mesh.
 //!
 //! ```text
-//!   tree of boxes ─▶ up to four triangles ─▶ on which side of each edge does the ray pass?
+//!   tree of boxes ─▶ triangles ─▶ on which side of each edge does the ray pass?
 //! ```
 //!
 //! Two triangles compute the side of their common edge from the same products, so no ray passes between them.
 
 use glam::{DVec3, Vec3};
-use meniscus_surface::space::{box_of, joined};
+use meniscus_surface::space::box_of;
 
 use crate::surface::Ray;
 use crate::tile::RayTarget;
+use crate::tree::BoxTree;
 
 /// A triangle mesh to render.
 #[derive(Clone, Copy, Debug)]
@@ -69,20 +70,7 @@ pub(super) struct RayMesh<'a> {
     pub(super) voxel_size: f64,
     /// The bounding box of the triangles without outliers, in voxels.
     pub(super) bounds: Option<[DVec3; 2]>,
-    /// The root comes first.
-    nodes: Vec<MeshNode>,
-    /// The triangles, leaf by leaf.
-    order: Vec<u32>,
-}
-
-/// A branch of the tree, or a leaf.
-struct MeshNode {
-    least: DVec3,
-    greatest: DVec3,
-    /// The first triangle of a leaf; the second child of a branch, whose first child is the next node.
-    first: u32,
-    /// Number of triangles; 0 for a branch.
-    count: u32,
+    tree: BoxTree,
 }
 
 /// A point where a ray hits a triangle.
@@ -95,9 +83,6 @@ pub(super) struct MeshHit {
     /// The weights of the triangle's corners.
     weights: [f64; 3],
 }
-
-/// Maximum number of triangles in a leaf.
-const LEAF_TRIANGLES: usize = 4;
 
 /// A mesh is at least this long, in voxels, so that the shadows of a few large triangles have their shape.
 const LENGTH_MIN: f64 = 64.0;
@@ -119,52 +104,17 @@ impl<'a> RayMesh<'a> {
         let edge = edges / edge_count.max(1) as f64;
         let voxel_size = edge.min(length / LENGTH_MIN).max(length / LENGTH_MAX).max(f64::MIN_POSITIVE);
         let in_voxels = |bounds: [DVec3; 2]| bounds.map(|corner| corner / voxel_size);
-        let mut ray_mesh = RayMesh {
-            mesh,
-            voxel_size,
-            bounds: bounds.map(in_voxels),
-            nodes: Vec::new(),
-            order: Vec::with_capacity(edge_count / 3),
-        };
+        let mut ray_mesh =
+            RayMesh { mesh, voxel_size, bounds: bounds.map(in_voxels), tree: BoxTree::default() };
         let center = |(index, [a, b, c]): (u32, [DVec3; 3])| ((a + b + c) / 3.0, index);
-        let mut order: Vec<(DVec3, u32)> = mesh.visible().map(center).collect();
-        if !order.is_empty() {
-            ray_mesh.add_node(&mut order);
-        }
+        let items = mesh.visible().map(center).collect();
+        ray_mesh.tree = BoxTree::new(items, &|triangle| box_around(ray_mesh.corners(triangle)));
         ray_mesh
     }
 
     /// The smallest z of a triangle; `None` without triangles.
     pub(super) fn least_z(&self) -> Option<f64> {
-        self.nodes.first().map(|root| root.least.z)
-    }
-
-    /// Adds the node of these triangles, given with their centres, and the nodes below it. Returns its index.
-    fn add_node(&mut self, triangles: &mut [(DVec3, u32)]) -> usize {
-        let node = self.nodes.len();
-        if triangles.len() <= LEAF_TRIANGLES {
-            // Their order after the selection below depends on the library.
-            triangles.sort_unstable_by_key(|&(_, index)| index);
-            let boxes = triangles.iter().map(|&(_, index)| box_around(self.corners(index)));
-            let [least, greatest] = boxes.reduce(joined).unwrap_or([DVec3::ZERO; 2]);
-            let (first, count) = (self.order.len() as u32, triangles.len() as u32);
-            self.nodes.push(MeshNode { least, greatest, first, count });
-            self.order.extend(triangles.iter().map(|&(_, index)| index));
-            return node;
-        }
-        let centers = triangles.iter().map(|&(center, _)| [center; 2]).reduce(joined);
-        let axis = centers.map_or(0, |[least, greatest]| (greatest - least).max_position());
-        let half = triangles.len() / 2;
-        triangles.select_nth_unstable_by(half, |one, other| {
-            one.0[axis].total_cmp(&other.0[axis]).then(one.1.cmp(&other.1))
-        });
-        let (one, other) = triangles.split_at_mut(half);
-        self.nodes.push(MeshNode { least: DVec3::ZERO, greatest: DVec3::ZERO, first: 0, count: 0 });
-        let children = [self.add_node(one), self.add_node(other)];
-        let [one, other] = children.map(|child| [self.nodes[child].least, self.nodes[child].greatest]);
-        let [least, greatest] = joined(one, other);
-        self.nodes[node] = MeshNode { least, greatest, first: children[1] as u32, count: 0 };
-        node
+        self.tree.bounds().map(|[least, _]| least.z)
     }
 
     fn corners(&self, triangle: u32) -> [DVec3; 3] {
@@ -174,44 +124,9 @@ impl<'a> RayMesh<'a> {
 
     /// Calls `each` with the hits of a ray below a limit of t, in any order. `each` returns the new limit.
     fn visit(&self, ray: &Ray, mut each: impl FnMut(MeshHit) -> f64) {
-        let mut limit = f64::INFINITY;
-        let entry = |node: usize, limit: f64| {
-            let MeshNode { least, greatest, .. } = self.nodes.get(node)?;
-            ray.within(*least, *greatest, [0.0, limit]).map(|[first, _]| (first, node))
-        };
-        // At most one node for each level of the tree, which halves at most 2³² triangles.
-        let mut pending = [(0.0, 0); 64];
-        let mut count = 0;
-        if let Some(root) = entry(0, limit) {
-            (pending[0], count) = (root, 1);
-        }
-        while count > 0 {
-            count -= 1;
-            let (first, index) = pending[count];
-            if first > limit {
-                continue;
-            }
-            let node = &self.nodes[index];
-            if node.count == 0 {
-                let mut children = [index + 1, node.first as usize].map(|child| entry(child, limit));
-                // The nearer child is visited first.
-                if let [Some(one), Some(other)] = children
-                    && one.0 < other.0
-                {
-                    children.swap(0, 1);
-                }
-                for child in children.into_iter().flatten() {
-                    pending[count] = child;
-                    count += 1;
-                }
-                continue;
-            }
-            for &triangle in &self.order[node.first as usize..][..node.count as usize] {
-                if let Some(hit) = self.hit_triangle(triangle, ray).filter(|hit| hit.t < limit) {
-                    limit = each(hit);
-                }
-            }
-        }
+        self.tree.visit(ray, |triangle, limit| {
+            self.hit_triangle(triangle, ray).filter(|hit| hit.t < limit).map_or(limit, &mut each)
+        });
     }
 
     fn hit_triangle(&self, triangle: u32, ray: &Ray) -> Option<MeshHit> {

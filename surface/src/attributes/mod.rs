@@ -20,6 +20,9 @@
 //! reaches the point. If no particle reaches it, numbers are 0, integers −1, strings missing, and the point
 //! is counted.
 //!
+//! **Rest coordinates** are positions in an earlier frame. Their mean belongs to the mean of the particles' positions,
+//! which is about half a spacing deeper in the fluid than the vertex: see [rest].
+//!
 //! **Band.** Volume renderers need values in a band around the surface that is several voxels wide. Outside
 //! the fluid, a voxel gets the values at the nearest point on the surface, because a point far from all
 //! particles has no values of its own. The mean has no voxel-sized detail, so it is computed for every second
@@ -29,7 +32,9 @@
 //! Changes farther away, and the number of threads, leave the values bit-identical, however large the other
 //! particles are.
 
+mod computed;
 mod interpolate;
+mod rest;
 
 use std::sync::Arc;
 
@@ -41,6 +46,7 @@ use crate::grid::{LEAF_VOXELS, NO_LEAF, Topology};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 use crate::neighbors::Neighbors;
+use crate::options::Settings;
 use crate::parallel::Loops as _;
 use crate::particles::{Attribute, AttributeValues, OwnedPositions, Positions, Role, Shapes, scale_numbers};
 use crate::simd::{Kernel, Lanes, dispatch};
@@ -49,6 +55,19 @@ use interpolate::{
     Interpolated, NODE_EDGE, Scratch, Tree, TreeParticle, interpolate, near_particles, needed_nodes,
     node_points,
 };
+
+use rest::fit_rest;
+
+pub use computed::{ComputedAttribute, add_computed, wants_computed};
+pub use rest::has_rest;
+
+/// The radius R of the weighted mean with these settings, world units.
+pub fn radius_world(settings: &Settings) -> f64 {
+    RADII * settings.radius_init
+}
+
+/// Radius of the weighted mean, in units of r_init.
+const RADII: f64 = 2.0;
 
 /// How far particle values reach, in world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,6 +82,8 @@ pub struct Support<'a> {
     pub margin_world: f64,
     /// The shapes of the particles: one per particle, unless they are balls.
     pub shapes: &'a Shapes,
+    /// The positions of the particles before they were smoothed, if they have rest coordinates.
+    pub unsmoothed: Option<&'a OwnedPositions>,
 }
 
 impl Support<'_> {
@@ -110,7 +131,8 @@ pub fn interpolate_to_vertices<'a>(
         support,
         (mesh.positions.len(), &point_of),
     );
-    let (interpolated, counts) = interpolate_at(&source, mesh.positions.len(), &point_of);
+    let (mut interpolated, counts) = interpolate_at(&source, mesh.positions.len(), &point_of);
+    fit_rest(&source, &mut interpolated, &point_of);
     let mut numbers = interpolated.numbers.into_iter();
     let mut values_of = |attribute: &Attribute| match &attribute.values {
         AttributeValues::Numbers(_) => AttributeValues::Numbers(numbers.next().unwrap_or_default()),
@@ -351,7 +373,8 @@ pub fn interpolate_to_band<'a>(
     let margin_world = support.margin_world + f64::from(half_width_voxels) * lattice.voxel_size;
     let support = Support { margin_world, ..support };
     let source = TransferSource::new(particles.into(), attributes, support, (points.len(), &point_of));
-    let (interpolated, counts) = interpolate_at(&source, points.len(), &point_of);
+    let (mut interpolated, counts) = interpolate_at(&source, points.len(), &point_of);
+    fit_rest(&source, &mut interpolated, &point_of);
     let mut end = 0;
     let starts = needed.iter().map(|nodes| {
         let start = end;

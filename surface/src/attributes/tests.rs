@@ -10,8 +10,13 @@ use crate::level_set::NarrowBand;
 use crate::particles::{OwnedPositions, Role};
 use crate::space::Lattice;
 
-const REACH: Support =
-    Support { radius_world: 0.26, radius_max_world: 0.5, margin_world: 0.1, shapes: &Shapes::Uniform };
+const REACH: Support = Support {
+    radius_world: 0.26,
+    radius_max_world: 0.5,
+    margin_world: 0.1,
+    shapes: &Shapes::Uniform,
+    unsmoothed: None,
+};
 const VOXEL: f64 = 0.05;
 
 fn transferred_to_vertices(

@@ -12,7 +12,7 @@ use crate::particles::{OwnedPositions, Role};
 const RADIUS: f64 = 0.26;
 
 fn support(shapes: &Shapes) -> Support<'_> {
-    Support { radius_world: RADIUS, radius_max_world: 0.2, margin_world: 0.05, shapes }
+    Support { radius_world: RADIUS, radius_max_world: 0.2, margin_world: 0.05, shapes, unsmoothed: None }
 }
 
 fn random(state: &mut u32) -> f64 {

@@ -18,6 +18,7 @@
 //! Discrete Differential-Geometry Operators for Triangulated 2-Manifolds. 2003
 
 mod corners;
+mod curvature;
 mod decimate;
 mod flat;
 

@@ -29,6 +29,12 @@ const ISLAND_MAX: u32 = 1000;
 /// Upper limit of `spray_keep`: each frame depends on twice as many on each side, less two.
 const SPRAY_KEEP_MAX: u32 = 5;
 
+/// The largest number of a reference frame.
+const REST_MAX: u32 = 99_999_999;
+
+/// Upper limit of `rest_period`.
+const REST_PERIOD_MAX: u32 = 100_000;
+
 /// Upper limit of `fill_cavities`, in voxels.
 pub(super) const CAVITY_VOXELS_MAX: f64 = 1e6;
 
@@ -175,7 +181,7 @@ method_options! {
         }
         Particles {
             /// Attributes to interpolate to the surface: a list of names, such as velocity,Cd,id, or the word
-            /// all
+            /// all; speed, vorticity, age and normal_curvature are computed
             ///
             /// Floating-point values are averaged over nearby particles; integers and strings are taken from
             /// the nearest particle. The results are vertex attributes in meshes, and additional grids in
@@ -193,6 +199,19 @@ method_options! {
                     OptionName::new("time_step"),
                 ],
                 uses_velocities,
+
+            /// Interpolate rest coordinates to the surface: the position that each particle had in the frame with this
+            /// number, 0 to 99999999
+            ///
+            /// Particles are followed by their ids; one that appeared later has the position at which it appeared. The
+            /// surface, and points beside it, get the vector attribute `rest`.
+            #[value(named("FRAME"))]
+            rest: u32 in 0..=REST_MAX,
+
+            /// After so many frames the rest coordinates begin again, 2 to 100000, even: a second set, `rest2`, begins half
+            /// a period later, and `rest_ratio` is its weight [default: one set, which never begins again]
+            #[value(named("FRAMES"))]
+            rest_period: u32 in 2..=REST_PERIOD_MAX => [OptionName::new("rest")], |options, _| options.rest.is_some(),
 
             /// Average each surface with those of this many frames before and after it, along the motion of
             /// the particles, 0 to 3; particles are followed by their ids or, with --time-step, by their
@@ -303,7 +322,7 @@ impl MethodOptions {
 
     /// Whether surfaces depend on frames before and after them.
     pub fn needs_frames_around(&self) -> bool {
-        self.temporal.unwrap_or(0) > 0 || self.has_spray() && self.spray_keep != Some(1)
+        !self.frame_reach().is_none()
     }
 
     /// The default values of the preset.
@@ -444,6 +463,8 @@ mod tests {
             void_threshold: Some(1.7),
             attributes: Some(AttributeSelection::Named(vec!["v".to_owned(), "Cd".to_owned()])),
             velocity_scale: Some(24_000.0 / 1001.0),
+            rest: Some(7),
+            rest_period: Some(12),
             drop_islands: Some(33),
             spray: Some(20),
             spray_keep: Some(2),

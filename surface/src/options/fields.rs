@@ -345,7 +345,10 @@ macro_rules! method_options {
             }
 
             /// Checks every option whose definition has a range.
-            pub(super) fn check_ranges(&self) -> Result<(), SettingsError> {
+            ///
+            /// # Errors
+            /// The first value that is out of its range.
+            pub fn check_ranges(&self) -> Result<(), SettingsError> {
                 $($($(
                     let range: RangeInclusive<$value> = $range;
                     if let Some(value) = self.$name && !range.contains(&value) {

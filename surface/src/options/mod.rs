@@ -6,6 +6,7 @@
 mod definition;
 mod fields;
 mod presets;
+mod reach;
 mod resolution;
 mod values;
 
@@ -18,6 +19,7 @@ pub use fields::{
     OptionGroup, OptionInfo, OptionName, OptionValue, ValueKind, ValueSyntax, expected, ranged,
 };
 pub use presets::{Preset, SequenceSpacing};
+pub use reach::{FrameReach, RestAt, RestFrames};
 pub use resolution::Pairs;
 pub use values::{AnisotropyKind, AttributeSelection, ClipBox, ColumnNames, Length, LengthUnit};
 
@@ -71,6 +73,8 @@ pub struct Settings {
     pub attributes: Option<AttributeSelection>,
     /// Factor from the particles' velocities to world units per second. Its square is that of accelerations.
     pub velocity_scale: f64,
+    /// Which positions in other frames are transferred to the surface.
+    pub rest: Option<RestFrames>,
     /// Pieces of surface with fewer particles than this are dropped.
     pub drop_islands: u32,
     /// Pieces of fluid with fewer particles than this are spray.
@@ -197,11 +201,17 @@ enum SettingsFault {
     QuadsOfTetrahedra,
     QuadsDecimated,
     SingleFrame,
+    EarlierFrames(OptionName),
 }
 
 impl SettingsError {
     pub(crate) fn of_value(what: String) -> SettingsError {
         SettingsFault::Value(what).into()
+    }
+
+    /// The error of an option that needs the frames before a frame, for frames in memory.
+    pub(crate) fn of_earlier_frames(option: OptionName) -> SettingsError {
+        SettingsFault::EarlierFrames(option).into()
     }
 
     /// The message with the names of options in this spelling.
@@ -212,6 +222,10 @@ impl SettingsError {
             SettingsFault::SingleFrame => format!(
                 "{} averages the frames of a sequence, and this is a single frame: leave it out",
                 spelled(OptionName::new("temporal"))
+            ),
+            SettingsFault::EarlierFrames(option) => format!(
+                "{} needs the frames before a frame, which are not known for particles in memory: leave it out, or convert files",
+                spelled(*option)
             ),
             SettingsFault::Value(what) => what.clone(),
             SettingsFault::UnknownSpacing => {
@@ -248,6 +262,9 @@ impl std::error::Error for SettingsError {}
 /// Default of the number of frames that a particle stays in the surface or in the spray.
 const SPRAY_KEEP: u32 = 3;
 
+/// The names of the two sets of rest coordinates, and of the weight of the second one.
+pub const REST_NAMES: [&str; 3] = ["rest", "rest2", "rest_ratio"];
+
 impl Settings {
     /// The number of frames before and after a frame on which its spray depends.
     #[doc(hidden)]
@@ -255,10 +272,15 @@ impl Settings {
         if self.spray > 0 { frames_needed(self.spray_keep) } else { 0 }
     }
 
-    /// The number of frames before and after a frame on which its surface depends.
-    #[doc(hidden)]
-    pub fn frames_around(&self) -> u32 {
-        self.temporal + self.spray_reach()
+    /// Whether the surface gets attributes of the particles.
+    pub fn has_attributes(&self) -> bool {
+        self.attributes.is_some() || self.rest.is_some()
+    }
+
+    /// Whether the surface gets this attribute.
+    pub fn selects(&self, attribute: &Attribute) -> bool {
+        let is_rest = self.rest.is_some() && REST_NAMES.contains(&&*attribute.name);
+        is_rest || self.attributes.as_ref().is_some_and(|selection| selection.selects(attribute))
     }
 
     /// How many frames are in memory at most while one of them is averaged: those that it is averaged with, itself,
@@ -316,6 +338,7 @@ impl Settings {
             position_smoothing: options.position_smoothing(),
             neighbor_radius,
             void_threshold: options.void_threshold.unwrap_or(VOID_THRESHOLD),
+            rest: options.rest_frames(),
             drop_islands: options.drop_islands.unwrap_or(0),
             spray: options.spray.unwrap_or(0),
             spray_keep: options.spray_keep.unwrap_or(SPRAY_KEEP),
@@ -369,7 +392,7 @@ impl Settings {
             options.offset.and_then(Length::world).filter(|offset| offset.is_finite()).unwrap_or(0.0);
         let settings = Settings::paper(if offset == 0.0 { 1.0 } else { offset.abs() }, options)?;
         // There are no particles to follow.
-        Ok(Settings { temporal: 0, spray: 0, ..settings })
+        Ok(Settings { temporal: 0, spray: 0, rest: None, ..settings })
     }
 
     /// The same settings for another voxel size: the lengths that depend on the voxel size become those of
@@ -405,6 +428,13 @@ impl Settings {
             let what = "total time of adaptive steps (steps times step size) in h⁴";
             require((0.0..=ADAPTIVE_TIME_MAX).contains(&time), || {
                 format!("the {what} is {time}; it must be from 0 to {ADAPTIVE_TIME_MAX}")
+            })?;
+        }
+        if let Some(RestFrames { period: Some(period), .. }) = self.rest {
+            require(period % 2 == 0, || {
+                format!(
+                    "rest_period is {period}; it must be even, because the second set begins again half a period after the first"
+                )
             })?;
         }
         match (self.quads, self.contouring) {

@@ -368,6 +368,8 @@ impl Settings {
             void_threshold: Some(self.void_threshold),
             attributes: self.attributes.clone(),
             velocity_scale,
+            rest: self.rest.map(|rest| rest.first),
+            rest_period: self.rest.and_then(|rest| rest.period),
             drop_islands: Some(self.drop_islands),
             spray: Some(self.spray),
             spray_keep: (self.spray > 0).then_some(self.spray_keep),

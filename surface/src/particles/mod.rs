@@ -463,6 +463,8 @@ pub enum Role {
     Radius,
     /// The id of a particle, constant over time, arity 1.
     Id,
+    /// A position in another frame, in world units, arity 3.
+    Rest,
     /// Anything else.
     Other,
 }
@@ -546,7 +548,7 @@ impl Role {
         match self {
             Role::Velocity => velocity_scale,
             Role::Acceleration => velocity_scale * velocity_scale,
-            Role::Color | Role::Radius | Role::Id | Role::Other => 1.0,
+            Role::Color | Role::Radius | Role::Id | Role::Rest | Role::Other => 1.0,
         }
     }
 
@@ -558,7 +560,7 @@ impl Role {
             Role::Color => &["color", "colour", "colors", "colours", "cd", "rgb", "rgba", "displaycolor"],
             Role::Radius => &["radius", "pscale"],
             Role::Id => &["id"],
-            Role::Other => &[],
+            Role::Rest | Role::Other => &[],
         }
     }
 }

@@ -83,7 +83,8 @@ impl BoundedBand {
         // A level set has no particles to check.
         let validate = |_: &Mesh, _: f32| Ok::<Checks, Infallible>(Checks::EMPTY);
         let Ok(()) = postprocess::finalize(&mut mesh, settings, None, rounding, &mut report, validate);
-        FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), spray: None, report }
+        let attributes = SurfaceAttributes::default();
+        FrameSurface { band, mesh, attributes, spray: None, bubbles: Vec::new(), report }
     }
 }
 

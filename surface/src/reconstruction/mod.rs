@@ -25,7 +25,9 @@ pub use shape::{ShapedSource, shape_by_attributes, shape_by_neighbors, shape_par
 pub use spray::ApartParticles;
 pub use staged::{StageError, StagedFrame, TileStorage};
 
-use crate::attributes::{BandAttribute, Support, interpolate_to_band, interpolate_to_vertices};
+use crate::attributes::{
+    BandAttribute, ComputedAttribute, Support, interpolate_to_band, interpolate_to_vertices, radius_world,
+};
 use crate::grid::Leaf;
 use crate::level_set::{NarrowBand, offset_reach_voxels};
 use crate::mesh::{Mesh, PositionRounding};
@@ -39,7 +41,7 @@ use crate::rasterize::{Radii, RasterParams};
 use crate::report::{Phase, ReconstructionReport, ShapeStats, TransferReport};
 use crate::smooth;
 use crate::space::Lattice;
-use crate::spray::Spray;
+use crate::spray::{Bubble, Spray};
 
 /// The surface of one frame.
 #[derive(Clone, Debug)]
@@ -52,13 +54,16 @@ pub struct FrameSurface {
     pub attributes: SurfaceAttributes,
     /// The particles that are not in the mesh; `None` if the settings do not ask for it, or the caller has them.
     pub spray: Option<Spray>,
+    /// The cavities that were filled.
+    pub bubbles: Vec<Bubble>,
     /// Measurements and validation results.
     pub report: ReconstructionReport,
 }
 
 impl FrameSurface {
-    /// Adds the particles that are not in the mesh.
-    pub fn with_spray(mut self, spray: Option<Spray>) -> FrameSurface {
+    /// Adds the particles that are not in the mesh, and to them the cavities that were filled.
+    pub fn with_spray(mut self, mut spray: Option<Spray>) -> FrameSurface {
+        spray.iter_mut().for_each(|spray| spray.add_bubbles(&self.bubbles));
         self.report.spray = spray.as_ref().map(Spray::counts);
         self.spray = spray;
         self
@@ -122,7 +127,7 @@ pub fn reconstruct_cloud(cloud: ParticleCloud, settings: &Settings, obstacles: &
     if let Some(shaped) = shaped {
         let targets = Targets { vertices: true, band_half_width_voxels: None };
         let ParticleCloud { positions, shapes, attributes } = shaped.into_moved();
-        transfer_attributes(&mut surface, positions.into(), &shapes, &attributes, settings, targets);
+        transfer_attributes(&mut surface, (positions.into(), None), &shapes, &attributes, settings, targets);
     }
     surface
 }
@@ -279,19 +284,22 @@ pub struct Targets {
     pub band_half_width_voxels: Option<f32>,
 }
 
-/// Transfers the attributes selected in the settings from particles to the surface.
+/// Transfers the attributes selected in the settings from particles to the surface. `unsmoothed` are their positions before
+/// smoothing, which rest coordinates need.
 pub fn transfer_attributes(
     surface: &mut FrameSurface,
-    positions: Positions<'_>,
+    (positions, unsmoothed): (Positions<'_>, Option<&OwnedPositions>),
     shapes: &Shapes,
     attributes: &[Attribute],
     settings: &Settings,
     targets: Targets,
 ) {
-    let Some(selection) = &settings.attributes else { return };
+    if !settings.has_attributes() {
+        return;
+    }
     let selected: Vec<&Attribute> =
-        attributes.iter().filter(|attribute| selection.selects(attribute)).collect();
-    let support = support(settings, shapes);
+        attributes.iter().filter(|attribute| settings.selects(attribute)).collect();
+    let support = support(settings, shapes, unsmoothed);
     let mut report = TransferReport {
         attributes: selected.iter().map(|attribute| attribute.name.clone()).collect(),
         ..TransferReport::default()
@@ -300,6 +308,11 @@ pub fn transfer_attributes(
         let (vertices, counts) =
             interpolate_to_vertices(positions.borrowed(), &selected, &surface.mesh, support);
         (surface.attributes.vertices, report.vertices) = (vertices, counts);
+        let curvature = ComputedAttribute::NormalCurvature;
+        if curvature.is_wanted(settings.attributes.as_ref(), attributes) {
+            surface.attributes.vertices.push(curvature.with_values(surface.mesh.curvatures()));
+            report.attributes.push(curvature.name().to_owned());
+        }
     }
     if let Some(half_width_voxels) = targets.band_half_width_voxels {
         let grids: Vec<Cow<Attribute>> = selected.iter().copied().filter_map(of_grid).collect();
@@ -317,18 +330,20 @@ pub fn transfer_attributes(
 const VOXELS_PER_POINT: usize = 6;
 
 /// How far the attributes of a particle reach; see [`crate::attributes`].
-fn support<'a>(settings: &Settings, shapes: &'a Shapes) -> Support<'a> {
-    let Settings { radius_init, radius_max, offset, voxel_size, .. } = *settings;
+fn support<'a>(
+    settings: &Settings,
+    shapes: &'a Shapes,
+    unsmoothed: Option<&'a OwnedPositions>,
+) -> Support<'a> {
+    let Settings { radius_max, offset, voxel_size, .. } = *settings;
     Support {
-        radius_world: RADII * radius_init,
+        radius_world: radius_world(settings),
         radius_max_world: radius_max,
         margin_world: MARGIN_VOXELS * voxel_size + offset.max(0.0),
         shapes,
+        unsmoothed,
     }
 }
-
-/// Radius of the weighted mean, in units of r_init.
-const RADII: f64 = 2.0;
 
 /// Vertices are rarely farther than this outside the union of the r_max spheres, in voxels.
 const MARGIN_VOXELS: f64 = 2.0;
@@ -395,7 +410,7 @@ mod tests {
             super::shape_particles(drops(&[(900.0, 4.0), (0.0, 1.5), (-50.0, 3.0), (9.0, 2.0)]), &settings);
         let ParticleCloud { positions, shapes, attributes } = more.into_moved();
         let targets = Targets { vertices: true, band_half_width_voxels: None };
-        transfer_attributes(&mut surface, positions.into(), &shapes, &attributes, &settings, targets);
+        transfer_attributes(&mut surface, (positions.into(), None), &shapes, &attributes, &settings, targets);
         for (one, other) in surface.attributes.vertices.iter().zip(&reference) {
             assert_eq!(one.values, other.values);
         }

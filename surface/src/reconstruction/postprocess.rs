@@ -27,6 +27,7 @@ use crate::obstacle::{ObstacleLeaf, cut_off_at_obstacles, edge_clearance, edge_r
 use crate::options::Settings;
 use crate::rasterize::Radii;
 use crate::report::{DepthStats, EditReport, ReconstructionReport};
+use crate::spray::{Bubble, radius_of_volume};
 use crate::validation::{Certificate, Checks, ExclusionMask, certificate};
 
 /// What edits removed from the level set.
@@ -34,6 +35,8 @@ use crate::validation::{Certificate, Checks, ExclusionMask, certificate};
 pub(super) struct Edits {
     islands: Option<DroppedIslands>,
     clip: Option<edits::VoxelClip>,
+    /// The cavities that were filled.
+    pub(super) bubbles: Vec<Bubble>,
 }
 
 /// Moves the surface by the offset, and cuts it off at the obstacles, if there are any.
@@ -73,8 +76,13 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
         let kept: Option<&dyn Fn(IVec3) -> LeafMask> =
             if scene.obstacles.is_empty() { None } else { Some(&kept) };
         let filled = edits::fill_cavities(band, settings.fill_cavities, kept);
-        report.cavity_count = filled.cavity_count;
+        report.cavity_count = filled.cavities.len();
         report.cavity_voxel_count = filled.voxel_count;
+        let bubble = |cavity: &edits::Cavity| Bubble {
+            position: scene.lattice.voxel_size * cavity.center(),
+            radius: radius_of_volume(scene.lattice.voxel_size) * (cavity.voxel_count as f64).cbrt(),
+        };
+        edits.bubbles = filled.cavities.iter().map(bubble).collect();
     }
     if let Some(clip) = &settings.clip {
         let clip = edits::VoxelClip { min: DVec3::from(clip.min), max: DVec3::from(clip.max) };

@@ -133,10 +133,7 @@ impl<S: ParticleSource> StagedFrame<S> {
         } else {
             let rasterized = with_any(&source, |source| Ok(WholeFields::rasterize(source, &scene)?));
             let (fields, report) = rasterized?;
-            (
-                StagedFields::InMemory(Box::new(fields), settings.attributes.is_some().then_some(source)),
-                report,
-            )
+            (StagedFields::InMemory(Box::new(fields), settings.has_attributes().then_some(source)), report)
         };
         report.shapes = shape_stats;
         Ok(StagedFrame { fields, obstacles, report })
@@ -520,7 +517,8 @@ fn contour_within<P: NearParticles>(
     };
     postprocess::finalize(&mut mesh, settings, Some(&scene.radii), rounding, &mut report, validate)?;
     report.certificate.input_positions_outside = particles.inputs_outside(&band, scene, exempt)?;
-    Ok(FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), spray: None, report })
+    let (attributes, bubbles) = (SurfaceAttributes::default(), edits.bubbles);
+    Ok(FrameSurface { band, mesh, attributes, spray: None, bubbles, report })
 }
 
 #[cfg(test)]

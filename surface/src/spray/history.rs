@@ -89,7 +89,9 @@ pub fn steady_sides(
         }
         let apart: Vec<Option<bool>> =
             frames.iter().map(|frame| frame.and_then(|frame| frame.is_apart(id))).collect();
-        let before = apart[..reach].iter().rev().take_while(|is_apart| **is_apart == Some(true)).count();
+        // A missing frame contradicts nothing, and does not count.
+        let before =
+            apart[..reach].iter().rev().take_while(|is_apart| **is_apart != Some(false)).flatten().count();
         (is_steady(&apart, keep.max(1) as usize), before as u32)
     };
     ids.iter().zip(is_apart).map(side).unzip()

@@ -21,7 +21,7 @@ pub use pieces::{Links, Piece, small_pieces};
 
 use glam::DVec3;
 
-use crate::particles::{Attribute, OwnedPositions, rows, rows_of};
+use crate::particles::{Attribute, AttributeValues, OwnedPositions, find_attribute, rows, rows_of};
 
 /// The shape of a piece of spray.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -33,11 +33,14 @@ pub enum SprayClass {
     Cluster,
     /// Several particles in a row.
     Filament,
+    /// No particles: a cavity inside the surface that was filled.
+    Bubble,
 }
 
 impl SprayClass {
     /// All classes, in the order of their indices in files.
-    pub const ALL: [SprayClass; 3] = [SprayClass::Drop, SprayClass::Cluster, SprayClass::Filament];
+    pub const ALL: [SprayClass; 4] =
+        [SprayClass::Drop, SprayClass::Cluster, SprayClass::Filament, SprayClass::Bubble];
 
     /// The name in files.
     pub fn name(self) -> &'static str {
@@ -45,11 +48,12 @@ impl SprayClass {
             SprayClass::Drop => "drop",
             SprayClass::Cluster => "cluster",
             SprayClass::Filament => "filament",
+            SprayClass::Bubble => "bubble",
         }
     }
 }
 
-/// The particles of a frame that are spray, in the order of the frame.
+/// The particles of a frame that are spray, in the order of the frame, and after them the bubbles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spray {
     /// Their positions.
@@ -67,6 +71,15 @@ pub struct Spray {
     pub attributes: Vec<Attribute>,
 }
 
+/// A cavity as a ball of its volume.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bubble {
+    /// The center of its volume, world units.
+    pub position: DVec3,
+    /// Its radius, world units.
+    pub radius: f64,
+}
+
 /// How much spray a frame has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct SprayCounts {
@@ -78,6 +91,8 @@ pub struct SprayCounts {
     pub clusters: usize,
     /// Number of filaments.
     pub filaments: usize,
+    /// Number of bubbles.
+    pub bubbles: usize,
 }
 
 impl Spray {
@@ -90,6 +105,38 @@ impl Spray {
         positions.size_bytes() + shapes + ages + attributes
     }
 
+    /// Their velocities, world units per second; empty if they are unknown.
+    pub fn velocities(&self) -> Vec<[f32; 3]> {
+        let found = find_attribute(&self.attributes, "velocity", 3);
+        let numbers = found.and_then(|attribute| attribute.values.numbers());
+        numbers.map(|numbers| numbers.as_chunks().0.to_vec()).unwrap_or_default()
+    }
+
+    /// Adds bubbles. They have no particles: their numbers are 0, their integers −1, and their strings missing.
+    pub(crate) fn add_bubbles(&mut self, bubbles: &[Bubble]) {
+        match &mut self.positions {
+            OwnedPositions::F32(positions) => {
+                positions.extend(bubbles.iter().map(|bubble| bubble.position.as_vec3().to_array()));
+            }
+            OwnedPositions::F64(positions) => {
+                positions.extend(bubbles.iter().map(|bubble| bubble.position.to_array()));
+            }
+        }
+        let count = self.positions.len();
+        self.radii.extend(bubbles.iter().map(|bubble| bubble.radius as f32));
+        self.classes.resize(count, SprayClass::Bubble);
+        self.piece_sizes.resize(count, 0);
+        self.ages.iter_mut().for_each(|ages| ages.resize(count, 0));
+        for Attribute { arity, values, .. } in &mut self.attributes {
+            let count = count * *arity;
+            match values {
+                AttributeValues::Numbers(values) => values.resize(count, 0.0),
+                AttributeValues::Integers(values) => values.resize(count, -1),
+                AttributeValues::Strings { indices, .. } => indices.resize(count, -1),
+            }
+        }
+    }
+
     /// The number of particles and of pieces.
     pub fn counts(&self) -> SprayCounts {
         let of = |class: SprayClass| {
@@ -98,10 +145,11 @@ impl Spray {
             sizes.map(|(_, size)| 1.0 / f64::from((*size).max(1))).sum::<f64>().round() as usize
         };
         SprayCounts {
-            particles: self.positions.len(),
+            particles: self.positions.len() - of(SprayClass::Bubble),
             drops: of(SprayClass::Drop),
             clusters: of(SprayClass::Cluster),
             filaments: of(SprayClass::Filament),
+            bubbles: of(SprayClass::Bubble),
         }
     }
 }

@@ -179,6 +179,7 @@ pub fn average(
         radius_max_world: RADII * config.spacing,
         margin_world: 0.0,
         shapes: &Shapes::Uniform,
+        unsmoothed: None,
     };
     let positions = Positions::from(particles.particles.positions());
     let moves: Vec<&Attribute> = moves.iter().collect();

@@ -1,0 +1,219 @@
+//! Follows the particles of a frame back through the frames before it: to their rest coordinates (`--rest`), and to the
+//! frame in which they appeared (`--attributes age`).
+//!
+//! ```text
+//!   frame 3   frame 4   frame 5 ──▶ origins since frame 3: from which frame 6 gets its rest coordinates
+//! ```
+//!
+//! The origins of one frame serve the next one, which adds only the frame between them. Each is read for itself and for
+//! its successor, unless the successor comes right after it.
+
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use crate::pipeline::error::FrameError;
+use crate::pipeline::input::around::{FoundFrame, not_averaged};
+use crate::pipeline::input::attributes::AttributeRequest;
+use crate::pipeline::input::frame::Frame;
+use crate::pipeline::warning::Warning;
+use crate::surface::attributes::ComputedAttribute;
+use crate::surface::options::{REST_NAMES, RestAt, Settings};
+use crate::surface::origins::Origins;
+use crate::surface::particles::{Attribute, AttributeValues, OwnedPositions, ParticleCloud, Role, ids_of};
+
+use super::StageContext;
+use super::compute::is_of_content;
+
+/// The origins that were collected last.
+#[derive(Default)]
+pub(super) struct KnownHistories(Mutex<VecDeque<KnownHistory>>);
+
+struct KnownHistory {
+    settings: Arc<Settings>,
+    /// The frames that were added, in order.
+    frames: Vec<AddedFrame>,
+    origins: Origins,
+}
+
+struct AddedFrame {
+    of: HistoryFrame,
+    /// Why nothing of it was added.
+    warning: Option<Warning>,
+}
+
+/// A frame before another one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct HistoryFrame {
+    path: PathBuf,
+    number: i64,
+    /// The hash of its bytes; `None` if it cannot be read now.
+    hash: Option<u128>,
+}
+
+/// More histories than the frames in flight need: of two sets of rest coordinates before and after they begin again, and
+/// of ages.
+const HISTORIES_MAX: usize = 5;
+
+impl KnownHistories {
+    /// Whatever a panic leaves here is compared with the files before it is used.
+    fn lock(&self) -> MutexGuard<'_, VecDeque<KnownHistory>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl KnownHistory {
+    /// Whether it has only frames that are wanted, or all that are wanted and later ones.
+    fn suits(&self, settings: &Arc<Settings>, wanted: &[HistoryFrame]) -> bool {
+        let is_same = |(added, wanted): (&AddedFrame, &HistoryFrame)| added.of == *wanted;
+        Arc::ptr_eq(&self.settings, settings) && self.frames.iter().zip(wanted).all(is_same)
+    }
+}
+
+/// What following particles leaves to report.
+#[derive(Default)]
+pub(super) struct HistoryNotes {
+    pub(super) warnings: Vec<Warning>,
+    /// The frames that could not be read, and may be at the next attempt: by how many frames each is later.
+    pub(super) unread: Vec<i32>,
+}
+
+impl StageContext<'_> {
+    /// Adds the attributes to the particles of a frame that need the frames before it, if the settings ask for them. The
+    /// hash is that of the frame's bytes.
+    pub(super) fn follow_back(
+        &self,
+        cloud: &mut ParticleCloud,
+        (frame, hash): (&Frame, u128),
+        around: &[FoundFrame],
+    ) -> HistoryNotes {
+        let mut notes = HistoryNotes::default();
+        let settings = &*frame.settings;
+        let wants_age = ComputedAttribute::Age.is_wanted(settings.attributes.as_ref(), &cloud.attributes);
+        let Some(ids) = ids_of(&cloud.attributes).filter(|_| settings.rest.is_some() || wants_age) else {
+            return notes;
+        };
+        // A frame without a number follows none.
+        let number = frame.number.unwrap_or(i64::MIN);
+        let mut given = FollowedFrame {
+            frame,
+            number,
+            hash,
+            ids,
+            positions: &cloud.positions,
+            around,
+            notes: &mut notes,
+        };
+        let mut found = Vec::new();
+        if let Some(rest) = settings.rest {
+            let RestAt { rest, second } = rest.at(number);
+            let place = |positions| vector(REST_NAMES[0], positions);
+            found.push(place(self.with_origins(rest, &mut given, Origins::positions)));
+            if let Some((second, weight)) = second {
+                let positions = self.with_origins(second, &mut given, Origins::positions);
+                found.push(vector(REST_NAMES[1], positions));
+                let weights = AttributeValues::Numbers(vec![weight; cloud.positions.len()]);
+                let name = REST_NAMES[2].to_owned();
+                found.push(Attribute { name, role: Role::Other, arity: 1, values: weights });
+            }
+        }
+        if wants_age {
+            let ages = |origins: &Origins, ids: &[i64], _: &OwnedPositions, number| origins.ages(ids, number);
+            found.push(ComputedAttribute::Age.with_values(self.with_origins(i64::MIN, &mut given, ages)));
+        }
+        // The option names them, so attributes of these names in the file do not count.
+        cloud.attributes.retain(|given| !found.iter().any(|found| found.name == given.name));
+        cloud.attributes.append(&mut found);
+        notes.warnings.dedup();
+        notes
+    }
+
+    /// Calls `with` with the origins of the particles in the frames since `first`.
+    fn with_origins<T>(
+        &self,
+        first: i64,
+        given: &mut FollowedFrame<'_>,
+        with: impl FnOnce(&Origins, &[i64], &OwnedPositions, i64) -> T,
+    ) -> T {
+        let settings = &given.frame.settings;
+        let wanted: Vec<HistoryFrame> = given.frames_since(first);
+        let mut histories = self.histories.lock();
+        let known = histories.iter().position(|known| !wanted.is_empty() && known.suits(settings, &wanted));
+        let known = known.and_then(|index| histories.remove(index));
+        let mut history = known.unwrap_or_else(|| KnownHistory {
+            settings: Arc::clone(settings),
+            frames: Vec::new(),
+            origins: Origins::default(),
+        });
+        let added = history.frames.len().min(wanted.len());
+        for frame in &wanted[added..] {
+            let (mut of, mut warning) = (frame.clone(), None);
+            if let Some(Err(error)) = frame.hash.map(|hash| self.add(&mut history, frame, hash)) {
+                warning = Some(not_averaged(&error));
+                if !is_of_content(&error.cause, "") {
+                    of.hash = None;
+                    given.notes.unread.push(given.steps_to(frame.number));
+                }
+            }
+            history.frames.push(AddedFrame { of, warning });
+        }
+        let used = &history.frames[..wanted.len()];
+        given.notes.warnings.extend(used.iter().filter_map(|added| added.warning.clone()));
+        let FollowedFrame { frame, number, hash, ids, positions, .. } = *given;
+        let result = with(&history.origins, ids, positions, number);
+        if history.frames.len() == wanted.len() && frame.number.is_some() && first <= number {
+            history.origins.add(ids, positions, number);
+            let of = HistoryFrame { path: frame.input.clone(), number, hash: Some(hash) };
+            history.frames.push(AddedFrame { of, warning: None });
+        }
+        histories.push_back(history);
+        if histories.len() > HISTORIES_MAX {
+            histories.pop_front();
+        }
+        result
+    }
+
+    fn add(&self, history: &mut KnownHistory, frame: &HistoryFrame, hash: u128) -> Result<(), FrameError> {
+        let wanted = AttributeRequest::to_follow(&history.settings.reading);
+        let cloud = self.particles_of(&frame.path, hash, &wanted)?;
+        if let Some(ids) = ids_of(&cloud.attributes) {
+            history.origins.add(ids, &cloud.positions, frame.number);
+        }
+        Ok(())
+    }
+}
+
+/// A frame whose particles are followed back.
+struct FollowedFrame<'a> {
+    frame: &'a Frame,
+    number: i64,
+    /// The hash of its bytes.
+    hash: u128,
+    ids: &'a [i64],
+    positions: &'a OwnedPositions,
+    around: &'a [FoundFrame],
+    notes: &'a mut HistoryNotes,
+}
+
+impl FollowedFrame<'_> {
+    /// The frames before it, from this number on.
+    fn frames_since(&self, first: i64) -> Vec<HistoryFrame> {
+        let is_history = |found: &&FoundFrame| (first..self.number).contains(&found.frame.number);
+        let frame = |found: &FoundFrame| HistoryFrame {
+            path: found.frame.path.clone(),
+            number: found.frame.number,
+            hash: found.content.as_ref().map(|content| content.hash),
+        };
+        self.around.iter().filter(is_history).map(frame).collect()
+    }
+
+    /// By how many frames the frame with this number is later.
+    fn steps_to(&self, number: i64) -> i32 {
+        let found = self.around.iter().find(|found| found.frame.number == number);
+        found.map_or(0, |found| found.frame.steps)
+    }
+}
+
+fn vector(name: &str, values: Vec<f32>) -> Attribute {
+    Attribute { name: name.to_owned(), role: Role::Rest, arity: 3, values: AttributeValues::Numbers(values) }
+}

@@ -1,0 +1,84 @@
+//! Where and when the particles of a sequence appeared, by their ids.
+//!
+//! ```text
+//!   frame      3        4        5          the origin of ○ is its place in frame 3, that of ● in frame 4
+//!              ○──▶     ○──▶     ○
+//!                       ●──▶     ●
+//! ```
+//!
+//! The origin of a particle is in the first frame that has its id. So it is the same whether only the frames before a
+//! frame were added, or later ones, too.
+
+use rustc_hash::FxHashMap;
+
+use crate::particles::{OwnedPositions, unique_ids};
+
+/// The first frame of each particle, and its position there.
+#[derive(Clone, Debug, Default)]
+pub struct Origins {
+    by_id: FxHashMap<i64, Origin>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Origin {
+    position: [f64; 3],
+    number: i64,
+}
+
+impl Origins {
+    /// Adds the frame with this number. All frames before it must have been added. Ids that several of its particles have
+    /// are left out, and so are positions that are not finite.
+    pub fn add(&mut self, ids: &[i64], positions: &OwnedPositions, number: i64) {
+        for (id, index) in unique_ids(ids) {
+            let position = positions.position(index as usize);
+            if position.is_finite() {
+                self.by_id.entry(id).or_insert(Origin { position: position.to_array(), number });
+            }
+        }
+    }
+
+    /// Where the particles of the frame with this number appeared: x, y and z of each. One without an origin appears in
+    /// this frame.
+    pub fn positions(&self, ids: &[i64], positions: &OwnedPositions, number: i64) -> Vec<f32> {
+        let origin = |(id, index): (&i64, usize)| {
+            let own = || positions.position(index).to_array();
+            self.before(*id, number).map_or_else(own, |origin| origin.position).map(|along| along as f32)
+        };
+        ids.iter().zip(0..).flat_map(origin).collect()
+    }
+
+    /// How much greater the number of this frame is than that of the frame in which each particle appeared.
+    pub fn ages(&self, ids: &[i64], number: i64) -> Vec<f32> {
+        let age = |id: &i64| self.before(*id, number).map_or(0, |origin| number - origin.number);
+        ids.iter().map(|id| age(id) as f32).collect()
+    }
+
+    fn before(&self, id: i64, number: i64) -> Option<Origin> {
+        self.by_id.get(&id).copied().filter(|origin| origin.number < number)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(x: &[f64]) -> OwnedPositions {
+        OwnedPositions::F64(x.iter().map(|x| [*x, 0.0, 1.0]).collect())
+    }
+
+    #[test]
+    fn particles_keep_the_place_where_they_appeared() {
+        let mut origins = Origins::default();
+        origins.add(&[7, 8, 8, 9], &at(&[0.0, 1.0, 2.0, f64::NAN]), 3);
+        origins.add(&[9, 7, 8], &at(&[10.0, 11.0, 12.0]), 5);
+        let ids = [8, 7, 1, 9];
+        let expected = [12.0, 0.0, 22.0, 10.0].map(|x| [x, 0.0, 1.0]);
+        let known = |origins: &Origins| origins.positions(&ids, &at(&[20.0, 21.0, 22.0, 23.0]), 6);
+        assert_eq!(known(&origins), expected.as_flattened());
+        assert_eq!(origins.ages(&ids, 6), [1.0, 3.0, 0.0, 1.0]);
+        // Later frames change nothing.
+        origins.add(&[1, 2], &at(&[30.0, 31.0]), 7);
+        assert_eq!(known(&origins), expected.as_flattened());
+        assert_eq!(origins.ages(&[7, 2], 3), [0.0, 0.0]);
+    }
+}
