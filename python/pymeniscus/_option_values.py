@@ -60,7 +60,7 @@ class OptionValues(TypedDict, total=False):
     rest : int
         Interpolate rest coordinates to the surface: the position that each particle had in the frame with this number, 0 to 99999999 Particles are followed by their ids; one that appeared later has the position at which it appeared. The surface, and points beside it, get the vector attribute `rest`.
     rest_period : int
-        After so many frames the rest coordinates begin again, 2 to 100000, even: a second set, `rest2`, begins half a period later, and `rest_ratio` is its weight [default: one set, which never begins again]
+        Begin the rest coordinates again after this many frame numbers, 2 to 100000, even: a second set, `rest2`, begins half a period later, and `rest_ratio` is its weight [default: one set, which never begins again]
     temporal : int
         Average each surface with those of this many frames before and after it, along the motion of the particles, 0 to 3; particles are followed by their ids or, with `time_step`, by their velocities [default: 0]
     time_step : float
@@ -68,7 +68,7 @@ class OptionValues(TypedDict, total=False):
     drop_islands : int
         Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]
     spray : int
-        Leave pieces of fluid with fewer particles than this out of the surface, and write them as points beside it, 0 to 1000 [default: 0] Particles are linked if their r_init spheres touch. dam.0012.spray.ply has the points beside dam.0012.glb, with a radius, a class (drop, cluster or filament), and the attributes of the particles.
+        Leave pieces of fluid with fewer particles than this out of the surface, and write them as points beside it, 0 to 1000 [default: 0] Particles are linked if their r_init spheres touch. dam.0012.spray.ply has the points beside dam.0012.glb, with a radius, a class (0 for drops, 1 for clusters, 2 for filaments, 3 for bubbles), and the attributes of the particles.
     spray_keep : int
         Number of frames that a particle stays in the surface or in the spray before it changes, 1 to 5; particles are followed by their ids [default: 3]
     fill_cavities : float

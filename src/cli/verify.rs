@@ -149,8 +149,9 @@ fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: Vec<FrameFile>)
 struct WantedSettings {
     /// The id of its settings.
     id: String,
-    /// The frames with which it is averaged.
+    /// The frames on which it depends, and how far those are that are not of its history.
     around: Arc<[AroundFrame]>,
+    beside: u32,
 }
 
 /// The settings that each frame should have, by input: those with which most frames of its sequence were
@@ -187,7 +188,7 @@ fn current_settings(
         let numbered = NumberedFrames::of_files(given);
         settings.extend(sequence.frames.iter().map(|file| {
             let around = numbered.frames_around(file.number(), reach);
-            (file.path.clone(), WantedSettings { id: current.to_owned(), around })
+            (file.path.clone(), WantedSettings { id: current.to_owned(), around, beside: reach.beside })
         }));
     }
     settings
@@ -220,10 +221,11 @@ fn verify_frame(
         }
     };
     let none = WantedSettings::default();
-    let WantedSettings { id: settings_id, around } = settings.get(&input).unwrap_or(&none);
+    let WantedSettings { id: settings_id, around, beside } = settings.get(&input).unwrap_or(&none);
     let hash_of = |frame: &AroundFrame| hashes.get(&frame.path)?.as_ref().ok().copied();
     // Obstacles are not read here.
-    let around: Vec<RecordedAround> = around.iter().map(|frame| frame.recorded(hash_of(frame), "")).collect();
+    let around = around.iter().map(|frame| frame.recorded(hash_of(frame), "")).collect();
+    let around = RecordedAround::with_history(around, *beside);
     let settings = records.settings(settings_id);
     let wanted = Wanted {
         name: &name,

@@ -70,6 +70,8 @@ pub enum InputWarning {
     SprayWithoutIds,
     /// The frame has no number, so no frame is before or after it.
     NotNumbered,
+    /// The particles share all ids, so none can be followed back.
+    SharedIds,
     /// The first frame of the rest coordinates, which has this number.
     ReferenceMissing { number: u32 },
     /// The frames around hardly count, because this share of their weight was confident.
@@ -281,7 +283,7 @@ impl fmt::Display for InputWarning {
                 write!(f, "the particles have no attribute `{name}` for the surface; available: {available}")
             }
             InputWarning::NotComputed { name, needs } => {
-                let needs = if *needs == Role::Id { "ids" } else { "velocities" };
+                let needs = if *needs == Role::Id { "ids that are whole numbers" } else { "velocities" };
                 write!(f, "`{name}` is not computed: the particles have no {needs}")
             }
             InputWarning::SeveralKinds { attribute, values } => write!(
@@ -331,12 +333,17 @@ impl fmt::Display for InputWarning {
                  flicker between the surface and the points",
             ),
             InputWarning::NotNumbered => f.write_str(
-                "the frame depends on no others, although an option wants that: its name has no frame number; a time in a \
-                 name is none",
+                "the frame depends on no others, although an option wants that: its name has no frame number; times in names \
+                 do not count",
+            ),
+            InputWarning::SharedIds => f.write_str(
+                "rest coordinates and ages are those of this frame: the particles have no ids of their own, by which they \
+                 could be followed",
             ),
             InputWarning::ReferenceMissing { number } => write!(
                 f,
-                "frame {number}, which --rest names, is missing: particles have the position at which they appeared after it"
+                "frame {number}, which --rest names, is missing or there twice: particles have the position at which they appeared \
+                 after it"
             ),
             InputWarning::HardlyFollowed { confidence } => write!(
                 f,

@@ -137,6 +137,18 @@ impl Neighbors {
     }
 }
 
+impl CellRun {
+    /// Some of the particles, evenly chosen, if there are very many; and how many each of them stands for.
+    pub fn sampled(&self) -> (impl Iterator<Item = usize> + use<>, f64) {
+        let stride = self.slots.len().div_ceil(SAMPLED_MAX).max(1);
+        let multiplicity = self.slots.len() as f64 / self.slots.len().div_ceil(stride).max(1) as f64;
+        (self.slots.clone().step_by(stride), multiplicity)
+    }
+}
+
+/// The most particles of a run that are looked at.
+const SAMPLED_MAX: usize = 512;
+
 /// Number of particles per task.
 const PIECE: usize = 1 << 13;
 

@@ -38,23 +38,36 @@ impl Origins {
     }
 
     /// Where the particles of the frame with this number appeared: x, y and z of each. One without an origin appears in
-    /// this frame.
+    /// this frame, and so do those that share an id.
     pub fn positions(&self, ids: &[i64], positions: &OwnedPositions, number: i64) -> Vec<f32> {
+        let unique = unique_ids(ids);
         let origin = |(id, index): (&i64, usize)| {
             let own = || positions.position(index).to_array();
-            self.before(*id, number).map_or_else(own, |origin| origin.position).map(|along| along as f32)
+            self.before(*id, number, &unique)
+                .map_or_else(own, |origin| origin.position)
+                .map(|along| along as f32)
         };
         ids.iter().zip(0..).flat_map(origin).collect()
     }
 
     /// How much greater the number of this frame is than that of the frame in which each particle appeared.
     pub fn ages(&self, ids: &[i64], number: i64) -> Vec<f32> {
-        let age = |id: &i64| self.before(*id, number).map_or(0, |origin| number - origin.number);
+        let unique = unique_ids(ids);
+        let age = |id: &i64| {
+            self.before(*id, number, &unique).map_or(0, |origin| number.saturating_sub(origin.number))
+        };
         ids.iter().map(|id| age(id) as f32).collect()
     }
 
-    fn before(&self, id: i64, number: i64) -> Option<Origin> {
-        self.by_id.get(&id).copied().filter(|origin| origin.number < number)
+    /// The origin of a particle of this frame, if no other one of the frame has its id.
+    fn before(&self, id: i64, number: i64, unique: &FxHashMap<i64, u32>) -> Option<Origin> {
+        let origin = self.by_id.get(&id).copied();
+        origin.filter(|origin| origin.number < number && unique.contains_key(&id))
+    }
+
+    /// The approximate memory, in bytes.
+    pub fn size_bytes(&self) -> u64 {
+        (self.by_id.capacity() * (size_of::<(i64, Origin)>() + 1)) as u64
     }
 }
 
@@ -80,5 +93,8 @@ mod tests {
         origins.add(&[1, 2], &at(&[30.0, 31.0]), 7);
         assert_eq!(known(&origins), expected.as_flattened());
         assert_eq!(origins.ages(&[7, 2], 3), [0.0, 0.0]);
+        // Particles that share an id have no origin.
+        assert_eq!(origins.ages(&[7, 9, 9], 6), [3.0, 0.0, 0.0]);
+        assert_eq!(origins.ages(&[7], i64::MAX), [(i64::MAX - 3) as f32]);
     }
 }

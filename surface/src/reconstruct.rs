@@ -8,14 +8,14 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::attributes::{ComputedAttribute, add_computed, has_rest, wants_computed};
+use crate::attributes::{add_computed, has_rest, wants_computed};
 use crate::cancel::{CancelToken, catch};
 use crate::error::Error;
 use crate::level_set::NarrowBand;
 use crate::mesh::{Mesh, PositionRounding};
 use crate::motion::MovingParticles;
 use crate::obstacle::{Obstacle, Obstacles};
-use crate::options::{Anisotropy, Length, OptionName, SequenceSpacing, Settings, SettingsError};
+use crate::options::{Anisotropy, Length, SequenceSpacing, Settings, SettingsError};
 use crate::parallel::Loops as _;
 use crate::particles::{Attribute, OwnedPositions, ParticleSource, Positions, Shapes, find_attribute};
 use crate::reconstruction::{
@@ -350,6 +350,7 @@ impl<'a> Reconstructor<'a> {
         }
         check_lengths(&positions, &attributes)?;
         let settings = &self.settings_on(&positions, &attributes)?.clone();
+        settings.require_no_history()?;
         if !is_averaged {
             settings.require_single_frame()?;
         }
@@ -544,16 +545,6 @@ fn resolve(
         let what = "the frames before and after a frame in memory are not known, so each frame alone decides what is spray: \
                     the number of frames that a particle stays on one side must be 1";
         return Err(SettingsError::of_value(what.to_owned()).into());
-    }
-    let age = ComputedAttribute::Age;
-    let unknown = match options.rest {
-        Some(_) => Some(OptionName::new("rest")),
-        None => age
-            .is_wanted(options.attributes.as_ref(), attributes)
-            .then_some(OptionName::with_value("attributes", "age")),
-    };
-    if let Some(option) = unknown {
-        return Err(SettingsError::of_earlier_frames(option).into());
     }
     let options = &Options { spray_keep: options.spray.map(|_| 1), ..options.clone() };
     let per_particle_radius = options.per_particle_radius()?;

@@ -30,7 +30,7 @@ use tempfile::{TempDir, tempdir};
 use crate::program::scene::{block, meniscus, write_ply};
 
 /// The pages whose commands run here, each in a separate folder, from top to bottom.
-const PAGES: [(&str, &str); 9] = [
+const PAGES: [(&str, &str); 10] = [
     ("README.md", include_str!("../../README.md")),
     ("docs/commands.md", include_str!("../../docs/commands.md")),
     ("docs/howto-blender.md", include_str!("../../docs/howto-blender.md")),
@@ -39,6 +39,7 @@ const PAGES: [(&str, &str); 9] = [
     ("docs/tutorial-first-surface.md", include_str!("../../docs/tutorial-first-surface.md")),
     ("docs/tutorial-live.md", include_str!("../../docs/tutorial-live.md")),
     ("docs/tutorial-houdini-blender.md", include_str!("../../docs/tutorial-houdini-blender.md")),
+    ("docs/tutorial-spray.md", include_str!("../../docs/tutorial-spray.md")),
     ("docs/tutorial-farm.md", include_str!("../../docs/tutorial-farm.md")),
 ];
 
@@ -72,6 +73,11 @@ fn commands_of_readme_run() {
 #[test]
 fn commands_of_commands_run() {
     run_page("docs/commands.md");
+}
+
+#[test]
+fn commands_of_tutorial_spray_run() {
+    run_page("docs/tutorial-spray.md");
 }
 
 #[test]
@@ -176,13 +182,18 @@ fn commands(text: &str) -> Vec<PageCommand<'_>> {
 
 /// Commands in code blocks that other checks run: the file of the check, and the text in it that runs the
 /// command.
-const RUN_ELSEWHERE: [(&str, &str, &str); 5] = [
+const RUN_ELSEWHERE: [(&str, &str, &str); 6] = [
     ("cargo install --path . --locked", ".ci/install", "cargo install --path . --locked"),
     ("pip install pysplishsplash==2.19.0", "tests/clients/install", "pysplishsplash==2.19.0"),
     (
         "python tests/clients/simulate_splishsplash.py simulation",
         "tests/clients/check_simulators.py",
         "simulate_{name}.py",
+    ),
+    (
+        "python benches/simulate_scenes.py dam 0 simulation",
+        "benches/quality",
+        "[\"benches/simulate_scenes.py\", scene]",
     ),
     (
         "examples/farm/submit.sh 4 --cpus-per-task=4 --time=30 -- examples/frames --out meshes",

@@ -152,3 +152,28 @@ fn missing_obstacle_of_a_frame_concerns_only_this_frame() {
     scene.once(&options).assert_status(1);
     scene.assert_as_converted(&options);
 }
+
+/// Rest coordinates need all frames before a frame, and none after it: in whatever order frames come.
+#[test]
+fn frames_with_rest_coordinates_follow_those_before_them() {
+    let options = ["--format", "ply", "--spacing", "0.1", "--rest", "1", "--attributes", "age"];
+    let scene = Scene::new();
+    put(&scene, 1);
+    // None waits for a frame after it.
+    let daemon = scene.watch(&[&options[..], &["--temporal-wait", "1h"]].concat());
+    daemon.await_converted("dam.1.ply");
+    for number in [4, 2, 3] {
+        put(&scene, number);
+        daemon.await_converted(&format!("dam.{number}.ply"));
+    }
+    scene.run(&[&["convert", "in", "--out", "wanted"][..], &options].concat());
+    let wanted = contents(&scene.path("wanted"));
+    await_that("the results are those of convert", || contents(&scene.path("out")) == wanted);
+    daemon.assert_no_complaints();
+    daemon.finish();
+    scene.put("in/dam.2.ply", frame(20));
+    let again = scene.once(&options);
+    assert_eq!(again.converted(), ["dam.2.ply", "dam.3.ply", "dam.4.ply"]);
+    scene.assert_as_converted(&options);
+    assert_eq!(scene.once(&options).converted(), [""; 0]);
+}

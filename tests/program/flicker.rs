@@ -458,3 +458,37 @@ fn sequences_of_simulators_have_plausible_scores() {
         assert!((0.01..0.3).contains(&score), "{line}");
     }
 }
+
+/// Particles that tremble at the surface carry its points, unless they are points beside the mesh.
+#[test]
+fn points_beside_a_mesh_carry_no_points() {
+    let folder = scene(&[1.05; 3], ",id");
+    for number in 1..=3i32 {
+        let path = folder.path().join(format!("p.{number}.csv"));
+        let (mut text, mut beside) =
+            (fs::read_to_string(&path).expect("text"), "x,y,z,spray_class,id\n".to_owned());
+        for index in 0..40 {
+            let angle = f64::from(index) * 0.4;
+            let x = STEP * f64::from(number) + if number == 2 { 0.3 } else { -0.3 };
+            let [y, z] = [1.1 * angle.cos(), 1.1 * angle.sin()];
+            writeln!(text, "{x},{y},{z},{}", 100_000 + index).expect("text");
+            writeln!(beside, "{x} {y} {z} 0 {}", 100_000 + index).expect("text");
+        }
+        fs::write(path, text).expect("written");
+        let head = "ply\nformat ascii 1.0\ncomment meniscus 0.1.0\ncomment meniscus_contents: spray\nelement vertex 40\nproperty double x\nproperty double y\nproperty double z\n\
+                    property int spray_class\nproperty int id\nend_header\n";
+        let rows = beside.split_once('\n').expect("rows").1;
+        fs::write(folder.path().join(format!("spray.{number}")), format!("{head}{rows}")).expect("written");
+    }
+    let score = || {
+        let result = run(&folder, &["--csv", "scores.csv"]);
+        assert_eq!(result.status, 0, "{}{}", result.out, result.err);
+        column(&folder.path().join("scores.csv"), "max")[0]
+    };
+    assert!(score() > 0.05);
+    for number in 1..=3 {
+        let [from, to] = [format!("spray.{number}"), format!("dam.{number}.spray.ply")];
+        fs::rename(folder.path().join(from), folder.path().join(to)).expect("renamed");
+    }
+    assert!(score() < 1e-4);
+}

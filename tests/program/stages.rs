@@ -285,3 +285,35 @@ fn stages_without_anything_to_play_are_refused() {
     assert!(result.err.contains("s.usda: exists, and is not a stage of meniscus"), "{}", result.err);
     assert!(path.join("o/dam.2.usdc").exists() && text(&path.join("s.usda")).contains("\"set\""));
 }
+
+#[test]
+fn stage_plays_the_points_beside_the_surfaces() {
+    let folder = frames(3);
+    let path = folder.path();
+    let convert =
+        [&CONVERT[..], &STAGE, &["--format", "usdc", "--spray", "1000", "--spray-keep", "1"]].concat();
+    succeeded(&meniscus(path, &convert));
+    let stage = text(&path.join("shot.usda"));
+    for part in [
+        "def Xform \"dam\" (",
+        "def Xform \"dam_spray\" (",
+        "asset[] assetPaths = [@./out/dam.1.spray.usdc@, @./out/dam.2.spray.usdc@, @./out/dam.3.spray.usdc@]",
+        "    over \"spray\"\n    {\n        float3[] extent\n",
+        "        float[] widths\n",
+        "# end: 3 meshes, 0 volumes, 3 files of points",
+    ] {
+        assert!(stage.contains(part), "{part} is not in {stage}");
+    }
+    // As text, too, whose samples are written for the stage only.
+    let texts =
+        [&CONVERT[..], &["--format", "usda", "--spray", "1000", "--spray-keep", "1", "--stage", "text.usda"]]
+            .concat();
+    succeeded(&meniscus(path, &texts));
+    assert!(text(&path.join("out/dam.1.spray.usda")).contains("points.timeSamples"));
+    let (known, new) = (
+        stage.replace(".usdc@", ".usda@").replace("./shot.usda", "./text.usda"),
+        text(&path.join("text.usda")),
+    );
+    let prim = |stage: &str| stage.split("def Xform \"dam_spray\"").nth(1).expect("the prim").to_owned();
+    assert_eq!(prim(&known), prim(&new));
+}

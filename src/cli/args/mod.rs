@@ -500,8 +500,8 @@ option_set! {
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(super) settle: Option<Duration>,
 
-        /// With --temporal or --spray: how long a frame waits for the frames around it; then it is converted without the
-        /// missing ones, and again when they come [default: 30s]
+        /// With --temporal, --spray or --rest: how long a frame waits for the frames on which it depends; then it is
+        /// converted without the missing ones, and again when they come [default: 30s]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(super) temporal_wait: Option<Duration>,
 

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
+use twox_hash::XxHash3_128;
 
 use super::frame::Frame;
 use super::obstacles::ObstacleFiles;
@@ -53,9 +54,9 @@ pub(crate) struct FrameContent {
 /// A frame before or after another one in the record of that one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecordedAround {
-    /// By how many frames it is later; negative if it is earlier.
+    /// By how many frames it is later; negative if it is earlier. The least number for those of a history, together.
     pub steps: i32,
-    /// Its name, without folder.
+    /// Its name, without folder; of a history, how many frames it has, and the names of the first and the last.
     pub name: String,
     /// The hash of its bytes; `None` if it was left out, because it could not be read or computed.
     #[serde(with = "hex::option", default, skip_serializing_if = "Option::is_none")]
@@ -73,13 +74,39 @@ impl AroundFrame {
     }
 }
 
-/// The frames as records contain them.
-pub(crate) fn recorded(around: &[FoundFrame]) -> Vec<RecordedAround> {
+impl RecordedAround {
+    /// Whether it is the frames of a history, together.
+    pub fn is_history(&self) -> bool {
+        self.steps == HISTORY_STEPS
+    }
+
+    /// These frames, of which those farther than `beside` steps are one: there may be very many.
+    pub fn with_history(all: Vec<RecordedAround>, beside: u32) -> Vec<RecordedAround> {
+        let (history, beside): (Vec<_>, Vec<_>) =
+            all.into_iter().partition(|around| around.steps.unsigned_abs() > beside);
+        let Some((first, last)) = history.first().zip(history.last()) else { return beside };
+        let hashed = |around: &RecordedAround| {
+            let name = around.name.as_bytes().iter().copied();
+            around.hash.unwrap_or(0).to_le_bytes().into_iter().chain(name).chain([0]).collect::<Vec<u8>>()
+        };
+        let bytes: Vec<u8> = history.iter().flat_map(hashed).collect();
+        let name = format!("{} frames from {} to {}", history.len(), first.name, last.name);
+        let hash = Some(XxHash3_128::oneshot(&bytes));
+        let history = RecordedAround { steps: HISTORY_STEPS, name, hash, obstacles: String::new() };
+        std::iter::once(history).chain(beside).collect()
+    }
+}
+
+/// In place of a number of steps, for the frames of a history.
+const HISTORY_STEPS: i32 = i32::MIN;
+
+/// The frames as records contain them: see [`RecordedAround::with_history`].
+pub(crate) fn recorded(around: &[FoundFrame], beside: u32) -> Vec<RecordedAround> {
     let recorded = |FoundFrame { frame, content }: &FoundFrame| match content {
         Some(FrameContent { hash, obstacles, .. }) => frame.recorded(Some(*hash), obstacles),
         None => frame.recorded(None, ""),
     };
-    around.iter().map(recorded).collect()
+    RecordedAround::with_history(around.iter().map(recorded).collect(), beside)
 }
 
 /// The frames of a sequence by their numbers.
@@ -176,7 +203,8 @@ impl<T: PartialEq> NumberedFrames<T> {
             let number = step.checked_mul(steps.into()).and_then(|far| number.checked_add(far));
             number.is_some_and(|number| !self.frames.contains_key(&number))
         };
-        self.only(number).is_some()
+        reach > 0
+            && self.only(number).is_some()
             && self.step().is_none_or(|step| (1..=reach).any(|steps| is_free(step, steps)))
     }
 
@@ -188,26 +216,29 @@ impl<T: PartialEq> NumberedFrames<T> {
         }
     }
 
-    /// The frames that a frame depends on, in order, with the number of steps and their numbers. Where one is missing,
-    /// the others keep their distance. A frame without a number, or with one that others have, too, depends on no
+    /// The frames that a frame depends on, in order, with the number of steps and their numbers. Where one beside it is
+    /// missing, the others keep their distance. A frame without a number, or with one that others have, too, depends on no
     /// other one.
     pub fn around(&self, number: Option<i64>, reach: FrameReach) -> Vec<(i32, i64, &T)> {
         let Some(number) = number.filter(|number| self.only(*number).is_some()) else { return Vec::new() };
         let Some(step) = self.step() else { return Vec::new() };
-        let beside = i32::try_from(reach.beside).unwrap_or(i32::MAX);
+        let beside = i32::try_from(reach.beside).unwrap_or(i32::MAX / 2);
         let first = reach.first(number).unwrap_or(number);
-        let before = self.frames.range(first..number).rev().take(HISTORY_MAX);
-        let mut history: Vec<i32> = before
-            .filter_map(|(at, _)| steps_between(number, *at, step))
-            .filter(|steps| steps.unsigned_abs() > reach.beside)
-            .collect();
-        history.reverse();
+        // Those of the history need not be at equal distances: they are counted back.
+        let is_beside = |at: i64| {
+            steps_between(number, at, step).is_some_and(|steps| steps.unsigned_abs() <= reach.beside)
+        };
+        let before = self.frames.range(first..number).rev().filter(|(at, _)| !is_beside(**at));
+        let before = before.filter_map(|(at, _)| Some((*at, self.only(*at)?))).take(HISTORY_MAX);
+        let counted = before.zip(1..).map(|((at, frame), back)| (-beside - back, at, frame));
+        let mut around: Vec<(i32, i64, &T)> = counted.collect();
+        around.reverse();
         let frame = |steps: i32| {
             let number = number.checked_add(step.checked_mul(steps.into())?)?;
             Some((steps, number, self.only(number)?))
         };
-        let beside = (-beside..=beside).filter(|steps| *steps != 0);
-        history.into_iter().chain(beside).filter_map(frame).collect()
+        around.extend((-beside..=beside).filter(|steps| *steps != 0).filter_map(frame));
+        around
     }
 
     /// The frames that depend on those with this number.
@@ -307,7 +338,10 @@ pub(crate) fn find_around(
         warnings.push(Warning::Input(InputWarning::ReferenceMissing { number: *first }));
     }
     let mut find = |around: &AroundFrame| {
-        let content = content_of(around, &frame.obstacles, hashes, index_policy);
+        // The level sets of the history are not needed.
+        let is_beside = around.steps.unsigned_abs() <= reach.beside;
+        let obstacles = is_beside.then_some(&*frame.obstacles);
+        let content = content_of(around, obstacles, hashes, index_policy);
         let content = content.map_err(|error| warnings.push(not_averaged(&error))).ok();
         FoundFrame { frame: around.clone(), content }
     };
@@ -338,7 +372,7 @@ const CONFIDENCE_MIN: f64 = 0.5;
 
 fn content_of(
     around: &AroundFrame,
-    obstacles: &ObstacleFiles,
+    obstacles: Option<&ObstacleFiles>,
     hashes: &KnownHashes,
     index_policy: IndexPolicy,
 ) -> Result<FrameContent, FrameError> {
@@ -346,8 +380,11 @@ fn content_of(
     let hash = hashes.of(path, index_policy);
     let hash = hash.map_err(|error| FrameError::file(path, Stage::Read, error))?;
     // Without its obstacles the frame will be left out when its level set is needed.
-    let obstacles =
-        obstacles.find(Some(*number)).map_or_else(|_| MISSING_OBSTACLES.to_owned(), |found| found.recorded());
+    let recorded = |obstacles: &ObstacleFiles| {
+        let found = obstacles.find(Some(*number));
+        found.map_or_else(|_| MISSING_OBSTACLES.to_owned(), |found| found.recorded())
+    };
+    let obstacles = obstacles.map(recorded).unwrap_or_default();
     Ok(FrameContent { path: path.clone(), hash, obstacles })
 }
 
@@ -373,19 +410,36 @@ mod tests {
         let around = |number, reach| -> Vec<(i32, i64)> {
             numbered.around(Some(number), reach).iter().map(|(steps, at, _)| (*steps, *at)).collect()
         };
-        assert_eq!(around(10, reach), [(-3, 4), (-2, 6), (-1, 8), (1, 12)]);
+        assert_eq!(around(10, reach), [(-4, 4), (-3, 5), (-2, 6), (-1, 8), (1, 12)]);
         assert_eq!(around(4, reach), [(-1, 2), (1, 6)]);
         let whole = FrameReach { whole_history: true, ..FrameReach::default() };
-        assert_eq!(around(8, whole), [(-3, 2), (-2, 4), (-1, 6)]);
+        assert_eq!(around(8, whole), [(-4, 2), (-3, 4), (-2, 5), (-1, 6)]);
         for reach in [reach, whole, beside(2), beside(0)] {
             for number in [2, 4, 6, 8, 10, 12] {
-                let mut expected = vec![2, 4, 6, 8, 10, 12];
+                let mut expected = vec![2, 4, 5, 6, 8, 10, 12];
                 expected.retain(|at| around(*at, reach).iter().any(|(_, other)| *other == number));
-                let mut found: Vec<i64> = numbered.dependent(number, reach).into_iter().copied().collect();
-                found.retain(|at| *at != 5);
+                let found: Vec<i64> = numbered.dependent(number, reach).into_iter().copied().collect();
                 assert_eq!(found, expected, "{number} with {reach:?}");
             }
         }
+    }
+
+    #[test]
+    fn histories_are_one_entry_of_a_record() {
+        let frame = |steps: i32, hash: u128| RecordedAround {
+            steps,
+            name: format!("a.{steps}"),
+            hash: Some(hash),
+            obstacles: String::new(),
+        };
+        let all = vec![frame(-3, 1), frame(-2, 2), frame(-1, 3), frame(1, 4)];
+        let recorded = RecordedAround::with_history(all.clone(), 1);
+        assert_eq!(recorded[1..], all[2..]);
+        assert_eq!(recorded[0].name, "2 frames from a.-3 to a.-2");
+        let mut changed = all.clone();
+        changed[0].hash = Some(9);
+        assert_ne!(RecordedAround::with_history(changed, 1)[0].hash, recorded[0].hash);
+        assert_eq!(RecordedAround::with_history(all.clone(), 3), all);
     }
 
     fn numbers(given: &[i64], number: i64, reach: u32) -> Vec<(i32, i64)> {

@@ -9,7 +9,7 @@ use crate::surface::attributes::ComputedAttribute;
 use crate::surface::options::{
     Anisotropy, AttributeSelection, OptionName, ReadOptions, Settings, SpacingOptions,
 };
-use crate::surface::particles::{Attribute, AttributeValues, Role, find_attribute};
+use crate::surface::particles::{Attribute, AttributeValues, Role, find_attribute, ids_of};
 
 use crate::pipeline::warning::{InputWarning, Warning};
 
@@ -40,6 +40,8 @@ struct RequiredAttribute {
     option: OptionName,
     /// Whether at least one particle needs a positive value.
     is_length: bool,
+    /// Whether the values must be whole numbers.
+    is_id: bool,
 }
 
 impl RequiredAttribute {
@@ -100,6 +102,7 @@ impl AttributeRequest {
                 arity: 3,
                 option: OptionName::with_value("anisotropy", "velocity"),
                 is_length: false,
+                is_id: false,
             });
         }
         if settings.rest.is_some() {
@@ -108,6 +111,7 @@ impl AttributeRequest {
                 arity: 1,
                 option: OptionName::new("rest"),
                 is_length: false,
+                is_id: true,
             });
         }
         AttributeRequest {
@@ -131,6 +135,7 @@ impl AttributeRequest {
             arity: 1,
             option: OptionName::new("radius_attribute"),
             is_length: true,
+            is_id: false,
         });
         let (needed, reading) = (radii.into_iter().collect(), options.reading.clone());
         AttributeRequest { needed, reading, ..AttributeRequest::default() }
@@ -210,13 +215,6 @@ impl AttributeRequest {
             .into_iter()
             .filter(|computed| computed.is_wanted(self.selected.as_ref(), &all))
             .collect();
-        let has_role = |role: Role| all.iter().any(|attribute| attribute.role == role);
-        for (attribute, role) in computed.iter().filter_map(|one| Some((one, one.need()?))) {
-            if !has_role(role) {
-                warnings
-                    .push(Warning::Input(InputWarning::NotComputed { name: attribute.name(), needs: role }));
-            }
-        }
         let is_known = |name: &String| {
             all.iter().any(|attribute| attribute.matches(name))
                 || computed.iter().any(|computed| name.eq_ignore_ascii_case(computed.name()))
@@ -251,6 +249,23 @@ impl AttributeRequest {
             if let Some(why) = found.and_then(|attribute| needed.why_useless(attribute, spelled)) {
                 return Err(why);
             }
+        }
+        let has = |role: Role| match role {
+            Role::Id => ids_of(&kept).is_some(),
+            _ => find_attribute(&kept, "velocity", 3).is_some(),
+        };
+        for (attribute, needs) in computed.iter().filter_map(|one| Some((one, one.need()?))) {
+            if !has(needs) {
+                warnings.push(Warning::Input(InputWarning::NotComputed { name: attribute.name(), needs }));
+            }
+        }
+        if let Some(RequiredAttribute { option, .. }) = self.needed.iter().find(|needed| needed.is_id)
+            && !has(Role::Id)
+        {
+            return Err(format!(
+                "the ids of the particles are not whole numbers, which {} needs",
+                spelled(*option)
+            ));
         }
         Ok((kept, warnings))
     }

@@ -273,8 +273,11 @@ pub(crate) fn output_warnings(surface: &FrameSurface, outputs: &OutputOptions) -
         let names = surface.report.transfer.iter().flat_map(|transfer| &transfer.attributes);
         let left_out = names.filter(|name| band.iter().all(|attribute| attribute.name != **name));
         warnings.extend(left_out.map(|name| {
-            let limit = "can store only attributes of one or three floating-point numbers";
-            Warning::Sentence(format!("{name} is not in the .vdb, which {limit}"))
+            let why = match &**name {
+                CURVATURE => "because it is that of the mesh",
+                _ => "which can store only attributes of one or three floating-point numbers",
+            };
+            Warning::Sentence(format!("{name} is not in the .vdb, {why}"))
         }));
         let voxels: Vec<Voxels> = band.iter().map(Voxels).collect();
         let of_grids = vdb::grid_notes(&band_grids(&voxels), &vdb::WriteOptions::default().name);
@@ -282,6 +285,9 @@ pub(crate) fn output_warnings(surface: &FrameSurface, outputs: &OutputOptions) -
     }
     warnings
 }
+
+/// The name of the curvature that is computed.
+const CURVATURE: &str = "normal_curvature";
 
 /// The output formats, in the order of the format table.
 fn written(outputs: &OutputOptions) -> impl Iterator<Item = OutputFormat> {

@@ -9,7 +9,7 @@ use std::path::Path;
 
 use meniscus_formats::provenance::{CONTENTS, PARTICLES, SPRAY};
 use meniscus_formats::{PointFormat, WriteOption, read_provenance};
-use twox_hash::{XxHash3_64, XxHash3_128};
+use twox_hash::XxHash3_64;
 
 use crate::surface::options::{MethodOptions, OptionGroup, Pairs, ReadOptions, Settings};
 
@@ -67,31 +67,19 @@ pub(crate) fn provenance(
 /// The provenance of the points beside the frame's surface.
 pub(crate) fn spray_provenance(
     frame: &Frame,
-    MadeFrom { input_hash, around, .. }: MadeFrom<'_>,
+    MadeFrom { input_hash, obstacles, around }: MadeFrom<'_>,
     format: PointFormat,
 ) -> Vec<(String, String)> {
     let mut pairs = made_from_around(frame, input_hash, around);
     pairs.push((CONTENTS, SPRAY.to_owned()));
-    pairs.extend(frame.settings.pairs(|name| OF_SPRAY.contains(&name)));
+    // The bubbles depend on the level set.
+    let is_of_mesh =
+        |name: &str| MethodOptions::info(name).is_some_and(|info| info.group == OptionGroup::Mesh);
+    pairs.extend(frame.settings.pairs(|name| !is_of_mesh(name)));
+    pairs.extend(obstacle_pairs(&frame.settings, obstacles));
     pairs.extend(points_option_pairs(&frame.outputs, format));
     owned(pairs)
 }
-
-/// The settings that affect which particles are spray, and their points.
-const OF_SPRAY: [&str; 12] = [
-    "spacing",
-    "radius_init",
-    "columns",
-    "where",
-    "radius_attribute",
-    "radius_scale",
-    "attributes",
-    "velocity_scale",
-    "rest",
-    "rest_period",
-    "spray",
-    "spray_keep",
-];
 
 /// The options of points in `format`.
 fn points_option_pairs(options: &OutputOptions, format: PointFormat) -> Pairs {
@@ -109,20 +97,12 @@ fn points_option_pairs(options: &OutputOptions, format: PointFormat) -> Pairs {
 
 fn made_from_around(frame: &Frame, input_hash: u128, around: &[RecordedAround]) -> Pairs {
     let mut pairs = made_from(&frame.input, input_hash);
-    // A long history would fill the file.
-    let beside = frame.settings.frame_reach().beside;
-    let (around, history): (Vec<_>, Vec<_>) =
-        around.iter().partition(|around| around.steps.unsigned_abs() <= beside);
-    if let [first, .., last] | [first @ last] = &history[..] {
-        let hashes: Vec<u8> =
-            history.iter().flat_map(|frame| frame.hash.unwrap_or(0).to_le_bytes()).collect();
-        let (count, hash) = (history.len(), hash_text(XxHash3_128::oneshot(&hashes)));
-        pairs.push(("history", format!("{count} frames from {} to {} {hash}", first.name, last.name)));
-    }
     if !around.is_empty() {
-        let text = |RecordedAround { steps, name, hash, obstacles }: &&RecordedAround| {
+        let text = |around: &RecordedAround| {
+            let RecordedAround { steps, name, hash, obstacles } = around;
             let with = if obstacles.is_empty() { String::new() } else { format!(" with {obstacles}") };
-            format!("{steps:+} {name} {}{with}", hash_text(hash.unwrap_or(0)))
+            let steps = if around.is_history() { String::new() } else { format!("{steps:+} ") };
+            format!("{steps}{name} {}{with}", hash_text(hash.unwrap_or(0)))
         };
         pairs.push(("around", around.iter().map(text).collect::<Vec<_>>().join(", ")));
     }

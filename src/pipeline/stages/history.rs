@@ -12,22 +12,27 @@ use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use crate::pipeline::error::FrameError;
+use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::around::{FoundFrame, not_averaged};
 use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame::Frame;
-use crate::pipeline::warning::Warning;
+use crate::pipeline::warning::{InputWarning, Warning};
 use crate::surface::attributes::ComputedAttribute;
 use crate::surface::options::{REST_NAMES, RestAt, Settings};
 use crate::surface::origins::Origins;
-use crate::surface::particles::{Attribute, AttributeValues, OwnedPositions, ParticleCloud, Role, ids_of};
+use crate::surface::particles::{
+    Attribute, AttributeValues, OwnedPositions, ParticleCloud, Role, ids_of, unique_ids,
+};
 
 use super::StageContext;
 use super::compute::is_of_content;
 
 /// The origins that were collected last.
-#[derive(Default)]
-pub(super) struct KnownHistories(Mutex<VecDeque<KnownHistory>>);
+pub(super) struct KnownHistories {
+    /// The most memory for them, in bytes.
+    limit_bytes: u64,
+    histories: Mutex<VecDeque<KnownHistory>>,
+}
 
 struct KnownHistory {
     settings: Arc<Settings>,
@@ -51,18 +56,27 @@ struct HistoryFrame {
     hash: Option<u128>,
 }
 
-/// More histories than the frames in flight need: of two sets of rest coordinates before and after they begin again, and
-/// of ages.
-const HISTORIES_MAX: usize = 5;
+/// The histories of one frame: of two sets of rest coordinates, and of ages. These are kept in any case.
+const HISTORIES_MIN: usize = 3;
 
 impl KnownHistories {
+    /// Keeps histories within this memory, in bytes.
+    pub(super) fn new(limit_bytes: u64) -> KnownHistories {
+        KnownHistories { limit_bytes, histories: Mutex::default() }
+    }
+
     /// Whatever a panic leaves here is compared with the files before it is used.
     fn lock(&self) -> MutexGuard<'_, VecDeque<KnownHistory>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.histories.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl KnownHistory {
+    fn size_bytes(&self) -> u64 {
+        let frame = |frame: &AddedFrame| size_of_val(frame) + frame.of.path.as_os_str().len();
+        self.origins.size_bytes() + self.frames.iter().map(frame).sum::<usize>() as u64
+    }
+
     /// Whether it has only frames that are wanted, or all that are wanted and later ones.
     fn suits(&self, settings: &Arc<Settings>, wanted: &[HistoryFrame]) -> bool {
         let is_same = |(added, wanted): (&AddedFrame, &HistoryFrame)| added.of == *wanted;
@@ -122,7 +136,10 @@ impl StageContext<'_> {
             found.push(ComputedAttribute::Age.with_values(self.with_origins(i64::MIN, &mut given, ages)));
         }
         // The option names them, so attributes of these names in the file do not count.
-        cloud.attributes.retain(|given| !found.iter().any(|found| found.name == given.name));
+        let is_replaced = |given: &Attribute| settings.rest.is_some() && REST_NAMES.contains(&&*given.name);
+        let share_ids = !ids.is_empty() && unique_ids(ids).is_empty();
+        notes.warnings.extend(share_ids.then_some(Warning::Input(InputWarning::SharedIds)));
+        cloud.attributes.retain(|given| !is_replaced(given));
         cloud.attributes.append(&mut found);
         notes.warnings.dedup();
         notes
@@ -167,8 +184,9 @@ impl StageContext<'_> {
             history.frames.push(AddedFrame { of, warning: None });
         }
         histories.push_back(history);
-        if histories.len() > HISTORIES_MAX {
-            histories.pop_front();
+        let mut bytes: u64 = histories.iter().map(KnownHistory::size_bytes).sum();
+        while histories.len() > HISTORIES_MIN && bytes > self.histories.limit_bytes {
+            bytes -= histories.pop_front().map_or(0, |history| history.size_bytes());
         }
         result
     }
@@ -176,9 +194,16 @@ impl StageContext<'_> {
     fn add(&self, history: &mut KnownHistory, frame: &HistoryFrame, hash: u128) -> Result<(), FrameError> {
         let wanted = AttributeRequest::to_follow(&history.settings.reading);
         let cloud = self.particles_of(&frame.path, hash, &wanted)?;
-        if let Some(ids) = ids_of(&cloud.attributes) {
-            history.origins.add(ids, &cloud.positions, frame.number);
+        if cloud.positions.is_empty() {
+            return Ok(());
         }
+        let missing = || FrameError {
+            path: frame.path.clone(),
+            during: Stage::Read,
+            cause: Cause::Missing("the particles have no ids that are whole numbers".to_owned()),
+        };
+        let ids = ids_of(&cloud.attributes).filter(|ids| ids.len() == cloud.positions.len());
+        history.origins.add(ids.ok_or_else(missing)?, &cloud.positions, frame.number);
         Ok(())
     }
 }

@@ -341,7 +341,8 @@ struct FinishedFrame<K> {
     outcome: Outcome,
 }
 
-/// Smoothed frames that are kept for others may take this fraction of the memory, and so may the sides of particles.
+/// Smoothed frames that are kept for others may take this fraction of the memory, and so may the sides of particles, and
+/// their origins.
 const KEPT_SHARE: u64 = 4;
 
 impl<'env> StageContext<'env> {
@@ -354,7 +355,7 @@ impl<'env> StageContext<'env> {
             smoothed: SmoothedFrames::new(options.memory_bytes / KEPT_SHARE),
             hashes: KnownHashes::default(),
             sides: KnownSides::new(options.memory_bytes / KEPT_SHARE),
-            histories: KnownHistories::default(),
+            histories: KnownHistories::new(options.memory_bytes / KEPT_SHARE),
             first_failed: AtomicUsize::new(usize::MAX),
         }
     }

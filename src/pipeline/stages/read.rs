@@ -294,7 +294,9 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         if !self.shared.options.skip_done {
             return Ok(());
         }
-        let made_from = MadeFrom { input_hash: input.hash, obstacles, around: &around::recorded(around) };
+        let beside = frame.settings.frame_reach().beside;
+        let made_from =
+            MadeFrom { input_hash: input.hash, obstacles, around: &around::recorded(around, beside) };
         match frame.recorded_state(made_from) {
             Some((state, Some(record))) if state.is_done() => Err(Outcome::AlreadyDone { input, record }),
             _ => Ok(()),

@@ -16,7 +16,7 @@ use crate::pipeline::input::around;
 use crate::pipeline::input::frame::{Frame, FrameReport, Job, Outcome};
 use crate::pipeline::memory::peak_memory_bytes;
 use crate::pipeline::output::particle_files::{particle_warnings, write_particles_as};
-use crate::pipeline::output::spray_files::{SPRAY_CLASS, points_of, write_points};
+use crate::pipeline::output::spray_files::{points_of, write_points};
 use crate::pipeline::output::writing::{WrittenFiles, surface_warnings, write_files, write_surface_as};
 use crate::pipeline::records::provenance::{MadeFrom, provenance, spray_provenance};
 use crate::pipeline::target::outputs::OutputKind;
@@ -92,7 +92,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                 Some(framing) => frame.with_camera(framing.camera_for(bounds_of(&surface, frame))),
                 None => frame.clone(),
             };
-            let around = around::recorded(&info.around);
+            let around = around::recorded(&info.around, frame.settings.frame_reach().beside);
             let made_from = MadeFrom {
                 input_hash: info.input.hash,
                 obstacles: &info.obstacles.recorded,
@@ -123,9 +123,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             info.seconds.write = start.elapsed().saturating_sub(preview_time).as_secs_f64();
             info.seconds.preview = preview_time.as_secs_f64();
             let mut warnings = surface_warnings(&surface, &frame.outputs, &frame.settings);
-            // The documentation says how formats store the classes.
             let of_points = frame.outputs.spray.iter().flat_map(|format| format.notes(&points));
-            let of_points = of_points.filter(|note| !note.starts_with(SPRAY_CLASS));
             warnings.extend(of_points.map(Warning::Sentence));
             let reconstruction = surface.report.clone();
             record_frame(frame, FrameReport { reconstruction, ..base_report(frame, info, written, warnings) })
@@ -169,7 +167,7 @@ fn base_report(
     FrameReport {
         input: info.input,
         obstacles: recorded,
-        around: around::recorded(&info.around),
+        around: around::recorded(&info.around, frame.settings.frame_reach().beside),
         obstacle_open_edge_count: open_edge_count,
         voxel_size: matches!(frame.job, Job::LevelSet { .. }).then_some(frame.settings.voxel_size),
         seconds: info.seconds,
@@ -182,7 +180,7 @@ fn base_report(
     }
 }
 
-/// The bounding box of the surface, without outliers.
+/// The bounding box of the surface and of the points beside it, without outliers.
 fn bounds_of(surface: &FrameSurface, frame: &Frame) -> Option<[DVec3; 2]> {
     let lattice = Lattice { voxel_size: frame.settings.voxel_size };
     let (origin, spray) = (frame.job.origin(), surface.spray.as_ref());

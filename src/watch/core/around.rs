@@ -201,13 +201,16 @@ impl Core {
         let done = |id: &FrameId| self.record_of(id).and_then(|record| record.done.as_ref());
         let Some(recorded) = done(id).map(|record| record.around.clone()) else { return };
         let complete = self.known_around(id, reach).into_iter().filter(|(.., id)| self.is_complete(id));
+        let mut is_history_known = true;
         let current: Vec<TriedAround> = complete
             .map(|(steps, number, around)| {
+                let is_beside = steps.unsigned_abs() <= reach.beside;
                 let frame = AroundFrame { steps, path: around.path.to_path_buf(), number };
                 let state = self.frames.get(&around);
                 let in_phase = |phase: FramePhase| state.filter(|state| state.phase == phase);
                 if let Some(record) = in_phase(FramePhase::Done).and(done(&around)) {
-                    let around = frame.recorded(Some(record.input_hash), &record.obstacles);
+                    let obstacles = if is_beside { &*record.obstacles } else { "" };
+                    let around = frame.recorded(Some(record.input_hash), obstacles);
                     return TriedAround { around, failed: None };
                 }
                 let unknown = frame.recorded(None, "");
@@ -216,10 +219,12 @@ impl Core {
                     return TriedAround { around: unknown, failed };
                 }
                 // Until it is done or has failed, its content counts as unchanged.
+                is_history_known &= is_beside;
                 let known = at_steps(&recorded, steps).filter(|recorded| recorded.name == unknown.name);
                 TriedAround { around: known.cloned().unwrap_or(unknown), failed: None }
             })
             .collect();
+        let current = with_history(current, reach.beside, &recorded, is_history_known);
         let is_elsewhere = |recorded: &RecordedAround| {
             let known = current.binary_search_by_key(&recorded.steps, |tried| tried.around.steps);
             !known.is_ok_and(|index| current[index].around.name == recorded.name)
@@ -251,7 +256,23 @@ impl Core {
     }
 }
 
-/// The frame by so many steps later, among frames in order.
+/// These frames, of which those farther than `beside` steps are one: that of the record, unless all of them are known.
+fn with_history(
+    all: Vec<TriedAround>,
+    beside: u32,
+    recorded: &[RecordedAround],
+    is_known: bool,
+) -> Vec<TriedAround> {
+    let (history, beside): (Vec<_>, Vec<_>) =
+        all.into_iter().partition(|tried| tried.around.steps.unsigned_abs() > beside);
+    let failed = history.iter().find_map(|tried| tried.failed.clone());
+    let now = RecordedAround::with_history(history.into_iter().map(|tried| tried.around).collect(), 0);
+    let before = recorded.iter().find(|recorded| recorded.is_history() && !is_known).cloned();
+    let history = now.into_iter().next().map(|now| TriedAround { around: before.unwrap_or(now), failed });
+    history.into_iter().chain(beside).collect()
+}
+
+/// The frame by this number of steps later, among frames in order.
 fn at_steps(around: &[RecordedAround], steps: i32) -> Option<&RecordedAround> {
     around.binary_search_by_key(&steps, |around| around.steps).ok().and_then(|index| around.get(index))
 }

@@ -137,13 +137,13 @@ fn vorticity_at(neighbors: &Neighbors, slot: usize, velocities: &[[f32; 3]]) -> 
     let (mut of_offsets, mut of_velocities) = (DMat3::ZERO, DMat3::ZERO);
     for run in neighbors.runs(neighbors.cells()[neighbors.cell_at(slot)]) {
         let step = run.step.as_dvec3() - here;
-        let stride = run.slots.len().div_ceil(SAMPLED_MAX).max(1);
-        for other in run.slots.step_by(stride) {
+        let (slots, multiplicity) = run.sampled();
+        for other in slots {
             let offset = local(other) + step;
             let change = velocity(other) - own;
             let nearness = 1.0 - offset.length_squared();
             if nearness > 0.0 && change.is_finite() {
-                let weighted = nearness * nearness * nearness * offset;
+                let weighted = multiplicity * nearness * nearness * nearness * offset;
                 of_offsets += DMat3::from_cols(offset * weighted.x, offset * weighted.y, offset * weighted.z);
                 of_velocities +=
                     DMat3::from_cols(change * weighted.x, change * weighted.y, change * weighted.z);
@@ -167,9 +167,6 @@ fn vorticity_at(neighbors: &Neighbors, slot: usize, velocities: &[[f32; 3]]) -> 
 
 /// By how much the fit is kept regular, relative to the sum of the squared offsets.
 const RIDGE: f64 = 1e-4;
-
-/// The most particles of a cell that are looked at.
-const SAMPLED_MAX: usize = 512;
 
 /// Particles between two looks whether the computation is cancelled.
 const CHECKED_EVERY: usize = 1 << 12;

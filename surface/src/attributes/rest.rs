@@ -79,14 +79,14 @@ fn way_at(
     let radius = neighbors.edge_world();
     let mut sums = Sums::NONE;
     for run in neighbors.runs(cell) {
-        let stride = run.slots.len().div_ceil(SAMPLED_MAX).max(1);
-        for slot in run.slots.step_by(stride) {
+        let (slots, multiplicity) = run.sampled();
+        for slot in slots {
             let particle = neighbors.indices()[slot];
             let offset = (positions.position(particle as usize) - point) / radius;
             let nearness = 1.0 - offset.length_squared();
             let way = way(particle);
             if nearness > 0.0 && way.is_finite() {
-                sums.add(nearness * nearness * nearness, offset, way);
+                sums.add(multiplicity * nearness * nearness * nearness, offset, way);
             }
         }
     }
@@ -147,9 +147,6 @@ const RIDGE: f64 = 0.01;
 
 /// How far values may be beyond those of the particles, relative to their range.
 const BEYOND: f64 = 0.5;
-
-/// The most particles of a cell that are looked at.
-const SAMPLED_MAX: usize = 512;
 
 #[cfg(test)]
 mod tests {

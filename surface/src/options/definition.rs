@@ -208,8 +208,8 @@ method_options! {
             #[value(named("FRAME"))]
             rest: u32 in 0..=REST_MAX,
 
-            /// After so many frames the rest coordinates begin again, 2 to 100000, even: a second set, `rest2`, begins half
-            /// a period later, and `rest_ratio` is its weight [default: one set, which never begins again]
+            /// Begin the rest coordinates again after this many frame numbers, 2 to 100000, even: a second set, `rest2`,
+            /// begins half a period later, and `rest_ratio` is its weight [default: one set, which never begins again]
             #[value(named("FRAMES"))]
             rest_period: u32 in 2..=REST_PERIOD_MAX => [OptionName::new("rest")], |options, _| options.rest.is_some(),
 
@@ -235,7 +235,7 @@ method_options! {
             /// 0 to 1000 [default: 0]
             ///
             /// Particles are linked if their r_init spheres touch. dam.0012.spray.ply has the points beside dam.0012.glb,
-            /// with a radius, a class (drop, cluster or filament), and the attributes of the particles.
+            /// with a radius, a class (0 for drops, 1 for clusters, 2 for filaments, 3 for bubbles), and the attributes of the particles.
             #[value(named("N"))]
             spray: u32 in 0..=ISLAND_MAX,
 

@@ -209,11 +209,6 @@ impl SettingsError {
         SettingsFault::Value(what).into()
     }
 
-    /// The error of an option that needs the frames before a frame, for frames in memory.
-    pub(crate) fn of_earlier_frames(option: OptionName) -> SettingsError {
-        SettingsFault::EarlierFrames(option).into()
-    }
-
     /// The message with the names of options in this spelling.
     #[doc(hidden)]
     pub fn message(&self, spelled: impl Fn(OptionName) -> String) -> String {
@@ -224,7 +219,7 @@ impl SettingsError {
                 spelled(OptionName::new("temporal"))
             ),
             SettingsFault::EarlierFrames(option) => format!(
-                "{} needs the frames before a frame, which are not known for particles in memory: leave it out, or convert files",
+                "{} needs the frames before a frame, which are not known here: leave it out, or convert a sequence of files",
                 spelled(*option)
             ),
             SettingsFault::Value(what) => what.clone(),
@@ -279,8 +274,11 @@ impl Settings {
 
     /// Whether the surface gets this attribute.
     pub fn selects(&self, attribute: &Attribute) -> bool {
-        let is_rest = self.rest.is_some() && REST_NAMES.contains(&&*attribute.name);
-        is_rest || self.attributes.as_ref().is_some_and(|selection| selection.selects(attribute))
+        let rest = self
+            .rest
+            .map_or(&[][..], |rest| if rest.period.is_some() { &REST_NAMES } else { &REST_NAMES[..1] });
+        rest.contains(&&*attribute.name)
+            || self.attributes.as_ref().is_some_and(|selection| selection.selects(attribute))
     }
 
     /// How many frames are in memory at most while one of them is averaged: those that it is averaged with, itself,
@@ -416,9 +414,26 @@ impl Settings {
     /// Refuses settings that need other frames, for a frame that is reconstructed alone.
     ///
     /// # Errors
-    /// If the surface is to be averaged over time.
+    /// If the surface is to be averaged over time, or particles are to be followed back.
     pub fn require_single_frame(&self) -> Result<(), SettingsError> {
+        self.require_no_history()?;
         if self.temporal > 0 { Err(SettingsFault::SingleFrame.into()) } else { Ok(()) }
+    }
+
+    /// Refuses settings that need the frames before a frame, where these are not known.
+    ///
+    /// # Errors
+    /// If particles are to be followed back.
+    pub fn require_no_history(&self) -> Result<(), SettingsError> {
+        let option = match self.rest {
+            Some(_) => OptionName::new("rest"),
+            None => OptionName::with_value("attributes", "age"),
+        };
+        if self.frame_reach().has_history() {
+            Err(SettingsFault::EarlierFrames(option).into())
+        } else {
+            Ok(())
+        }
     }
 
     /// Checks what depends on several options.

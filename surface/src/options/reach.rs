@@ -13,7 +13,7 @@ use crate::spray::frames_needed;
 /// The frames of a sequence that a frame depends on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrameReach {
-    /// So many before and after it.
+    /// The number of frames before and after it.
     pub beside: u32,
     /// Those since its reference frames.
     pub rest: Option<RestFrames>,
@@ -44,7 +44,8 @@ impl FrameReach {
 pub struct RestFrames {
     /// The number of the first one.
     pub first: u32,
-    /// After how many frames each of the two sets of coordinates begins again; `None` for one set, which never does.
+    /// After which difference of numbers each of the two sets of coordinates begins again; `None` for one set, which
+    /// never does.
     pub period: Option<u32>,
 }
 
@@ -64,12 +65,12 @@ impl RestFrames {
     pub fn at(&self, number: i64) -> RestAt {
         let first = i64::from(self.first).min(number);
         let Some(period) = self.period.map(i64::from) else { return RestAt { rest: first, second: None } };
-        let since = number.saturating_sub(first);
-        let half = period / 2;
-        let second = first.max(number - (since + half).rem_euclid(period));
-        let phase = since.rem_euclid(period) as f64 / period as f64;
+        let since = number.saturating_sub(first).rem_euclid(period);
+        let since_second = (since + period / 2).rem_euclid(period);
+        let second = first.max(number.saturating_sub(since_second));
+        let phase = since as f64 / period as f64;
         RestAt {
-            rest: number - since.rem_euclid(period),
+            rest: number.saturating_sub(since),
             second: Some((second, (2.0 * phase - 1.0).abs() as f32)),
         }
     }
@@ -112,8 +113,7 @@ impl Settings {
     }
 }
 
-/// Whether the selection names the ages of particles. A file may have such an attribute itself; then its frame depends on
-/// others in vain.
+/// Whether the selection names the ages of particles. Whether files have such an attribute themselves is not known here.
 fn names_age(selection: Option<&AttributeSelection>) -> bool {
     ComputedAttribute::Age.is_wanted(selection, &[])
 }
@@ -143,6 +143,9 @@ mod tests {
         assert_eq!(frames.at(16), RestAt { rest: 10, second: Some((14, 0.5)) });
         assert_eq!(frames.at(18), RestAt { rest: 18, second: Some((14, 1.0)) });
         assert_eq!(RestFrames { first: 10, period: None }.at(99), RestAt { rest: 10, second: None });
+        for number in [i64::MIN, i64::MAX] {
+            assert!(frames.at(number).first() <= number);
+        }
     }
 
     #[test]

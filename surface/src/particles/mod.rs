@@ -508,7 +508,7 @@ pub fn find_attribute<'a>(all: &'a [Attribute], name: &str, arity: usize) -> Opt
 }
 
 /// The particle of each id that only one particle has.
-pub(crate) fn unique_ids(ids: &[i64]) -> FxHashMap<i64, u32> {
+pub fn unique_ids(ids: &[i64]) -> FxHashMap<i64, u32> {
     const SHARED: u32 = u32::MAX;
     let mut index_of_id = FxHashMap::default();
     for (&id, index) in ids.iter().zip(0u32..SHARED) {

@@ -300,18 +300,22 @@ pub fn transfer_attributes(
     let selected: Vec<&Attribute> =
         attributes.iter().filter(|attribute| settings.selects(attribute)).collect();
     let support = support(settings, shapes, unsmoothed);
+    let curvature = ComputedAttribute::NormalCurvature;
+    let has_curvature = curvature.is_wanted(settings.attributes.as_ref(), attributes);
     let mut report = TransferReport {
-        attributes: selected.iter().map(|attribute| attribute.name.clone()).collect(),
+        attributes: selected
+            .iter()
+            .map(|attribute| attribute.name.clone())
+            .chain(has_curvature.then(|| curvature.name().to_owned()))
+            .collect(),
         ..TransferReport::default()
     };
     if targets.vertices {
         let (vertices, counts) =
             interpolate_to_vertices(positions.borrowed(), &selected, &surface.mesh, support);
         (surface.attributes.vertices, report.vertices) = (vertices, counts);
-        let curvature = ComputedAttribute::NormalCurvature;
-        if curvature.is_wanted(settings.attributes.as_ref(), attributes) {
+        if has_curvature {
             surface.attributes.vertices.push(curvature.with_values(surface.mesh.curvatures()));
-            report.attributes.push(curvature.name().to_owned());
         }
     }
     if let Some(half_width_voxels) = targets.band_half_width_voxels {

@@ -27,7 +27,7 @@ use crate::obstacle::{ObstacleLeaf, cut_off_at_obstacles, edge_clearance, edge_r
 use crate::options::Settings;
 use crate::rasterize::Radii;
 use crate::report::{DepthStats, EditReport, ReconstructionReport};
-use crate::spray::{Bubble, radius_of_volume};
+use crate::spray::{Bubble, cube_root, radius_of_volume};
 use crate::validation::{Certificate, Checks, ExclusionMask, certificate};
 
 /// What edits removed from the level set.
@@ -80,13 +80,16 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
         report.cavity_voxel_count = filled.voxel_count;
         let bubble = |cavity: &edits::Cavity| Bubble {
             position: scene.lattice.voxel_size * cavity.center(),
-            radius: radius_of_volume(scene.lattice.voxel_size) * (cavity.voxel_count as f64).cbrt(),
+            radius: radius_of_volume(scene.lattice.voxel_size * cube_root(cavity.voxel_count as f64)),
         };
         edits.bubbles = filled.cavities.iter().map(bubble).collect();
     }
     if let Some(clip) = &settings.clip {
         let clip = edits::VoxelClip { min: DVec3::from(clip.min), max: DVec3::from(clip.max) };
         report.clipped_voxel_count = edits::clip(band, &scene.lattice, &clip).voxel_count;
+        let is_inside =
+            |bubble: &Bubble| (clip.min.cmple(bubble.position) & bubble.position.cmple(clip.max)).all();
+        edits.bubbles.retain(is_inside);
         edits.clip = Some(clip);
     }
     edits

@@ -220,3 +220,12 @@ fn ages_count_frames_in_a_row_and_shared_ids_are_decided_alone() {
         (vec![true, true, false, false], vec![2, 0, 0, 0])
     );
 }
+
+#[test]
+fn cube_roots_are_exact_to_the_last_digits() {
+    for value in [1.0, 2.0, 27.0, 763.0, 1e6, 123_456_789.0, 1e15] {
+        let root = cube_root(value);
+        assert!((root * root * root / value - 1.0).abs() < 1e-15, "{value}: {root}");
+    }
+    assert_eq!(cube_root(27.0), 3.0);
+}
