@@ -77,7 +77,7 @@ fn way_at(
 ) -> Option<DVec3> {
     let (cell, _) = neighbors.locate(point)?;
     let radius = neighbors.edge_world();
-    let mut sums = Sums::NONE;
+    let mut sums = WaySums::NONE;
     for run in neighbors.runs(cell) {
         let (slots, multiplicity) = run.sampled();
         for slot in slots {
@@ -94,7 +94,7 @@ fn way_at(
 }
 
 /// Weighted sums over particles: of their offsets from a point, and of their ways.
-struct Sums {
+struct WaySums {
     weight: f64,
     offset: DVec3,
     way: DVec3,
@@ -105,9 +105,9 @@ struct Sums {
     range: Option<[DVec3; 2]>,
 }
 
-impl Sums {
+impl WaySums {
     /// Those of no particles. The default of a matrix would be the identity.
-    const NONE: Sums = Sums {
+    const NONE: WaySums = WaySums {
         weight: 0.0,
         offset: DVec3::ZERO,
         way: DVec3::ZERO,
@@ -128,7 +128,7 @@ impl Sums {
 
     /// The value of the fit at the point.
     fn at_point(self) -> Option<DVec3> {
-        let Sums { weight, offset, way, of_offsets, of_ways, range } = self;
+        let WaySums { weight, offset, way, of_offsets, of_ways, range } = self;
         let [least, most] = range.filter(|_| weight > 0.0)?;
         let (middle, mean) = (offset / weight, way / weight);
         let outer = |one: DVec3, other: DVec3| DMat3::from_cols(one * other.x, one * other.y, one * other.z);
@@ -154,7 +154,7 @@ mod tests {
 
     /// Fits the ways of particles in a slab to a point above it.
     fn fitted(way: impl Fn(DVec3) -> DVec3, thickness: f64) -> Option<DVec3> {
-        let mut sums = Sums::NONE;
+        let mut sums = WaySums::NONE;
         for index in 0..1000 {
             let [x, y, z] =
                 [index % 10, index / 10 % 10, index / 100].map(|step| f64::from(step) / 5.0 - 0.9);
@@ -175,6 +175,6 @@ mod tests {
         // Across a sheet the way is constant.
         let found = fitted(field, 0.0).expect("particles");
         assert!(found.distance(field(DVec3::new(0.0, 0.0, -0.4))) < 0.15, "{found}");
-        assert_eq!(Sums::NONE.at_point(), None);
+        assert_eq!(WaySums::NONE.at_point(), None);
     }
 }
