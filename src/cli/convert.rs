@@ -220,6 +220,11 @@ impl ConvertPlan {
             console.warning(format_args!(
                 "--temporal has no effect: no frame has the number before or after that of another one"
             ));
+        } else if !self.options.frame_reach().is_none() && batch.lacks_frames_around() {
+            console.warning(format_args!(
+                "each frame decides alone what is spray, and where its particles were: no frame has the number before or \
+                 after that of another one; name the whole sequence, and choose frames with --frames"
+            ));
         }
         if let Some(records) = &self.records {
             records.prepare().with_context(|| {
@@ -301,6 +306,7 @@ impl ConvertPlan {
         let settings = Arc::new(settings);
         let numbered = NumberedFrames::of_files(&sequence.frames);
         note_gaps(&sequence.name, &numbered, selected, settings.temporal, console);
+        warn_of_history(&sequence.name, &numbered, selected, &settings, console);
         let frames = selected.iter().map(|file| Frame {
             job: self.job,
             around: numbered.frames_around(file.number(), settings.frame_reach()),
@@ -310,6 +316,37 @@ impl ConvertPlan {
         });
         batch.add(&sequence.name, record, frames);
         Ok(())
+    }
+}
+
+/// Warns if particles cannot be followed back in a sequence.
+fn warn_of_history(
+    name: &str,
+    numbered: &NumberedFrames<PathBuf>,
+    selected: &[FrameFile],
+    settings: &Settings,
+    console: &Console,
+) {
+    if !settings.frame_reach().has_history() {
+        return;
+    }
+    let numbers = || selected.iter().filter_map(FrameFile::number);
+    let shared = numbers().filter(|number| numbered.only(*number).is_none()).count();
+    if shared > 0 {
+        console.warning(format_args!(
+            "{name}: {} a number that others have, too, such as subframes: particles are not followed back from them; \
+             convert frames with whole numbers only",
+            if shared == 1 { "1 frame has".to_owned() } else { format!("{shared} frames have") }
+        ));
+    }
+    if let Some(rest) = settings.rest
+        && numbers().all(|number| number < i64::from(rest.first))
+        && numbers().next().is_some()
+    {
+        console.warning(format_args!(
+            "{name}: --rest {} has no effect: all frames have lower numbers, and the rest coordinates are their own positions",
+            rest.first
+        ));
     }
 }
 

@@ -152,6 +152,8 @@ struct WantedSettings {
     /// The frames on which it depends, and how far those are that are not of its history.
     around: Arc<[AroundFrame]>,
     beside: u32,
+    /// The frames of its history, as far as they are known from inputs and records.
+    history: Vec<AroundFrame>,
 }
 
 /// The settings that each frame should have, by input: those with which most frames of its sequence were
@@ -186,9 +188,15 @@ fn current_settings(
         // A conversion of these inputs depends on no others.
         let given = sequence.frames.iter().filter(|file| given.contains(&*file.path));
         let numbered = NumberedFrames::of_files(given);
+        let known = NumberedFrames::of_files(&sequence.frames);
+        let beside = reach.beside;
         settings.extend(sequence.frames.iter().map(|file| {
             let around = numbered.frames_around(file.number(), reach);
-            (file.path.clone(), WantedSettings { id: current.to_owned(), around, beside: reach.beside })
+            let of_all =
+                if reach.has_history() { known.frames_around(file.number(), reach) } else { Arc::default() };
+            let is_history = |frame: &&AroundFrame| frame.steps.unsigned_abs() > beside;
+            let history = of_all.iter().filter(is_history).cloned().collect();
+            (file.path.clone(), WantedSettings { id: current.to_owned(), around, beside, history })
         }));
     }
     settings
@@ -221,7 +229,7 @@ fn verify_frame(
         }
     };
     let none = WantedSettings::default();
-    let WantedSettings { id: settings_id, around, beside } = settings.get(&input).unwrap_or(&none);
+    let WantedSettings { id: settings_id, around, beside, history } = settings.get(&input).unwrap_or(&none);
     let hash_of = |frame: &AroundFrame| hashes.get(&frame.path)?.as_ref().ok().copied();
     // Obstacles are not read here.
     let around = around.iter().map(|frame| frame.recorded(hash_of(frame), "")).collect();
@@ -240,7 +248,13 @@ fn verify_frame(
     };
     let (state, record) = records.state(&wanted, OutputComparison::Bytes);
     let input_exists = input_hash != Ok(None);
+    let history = history.iter().map(|frame| frame.recorded(hash_of(frame), "")).collect();
+    let history = RecordedAround::with_history(history, *beside).into_iter().next();
     let is_other = |around: &&RecordedAround| {
+        if around.is_history() {
+            // Others may have been there.
+            return history.as_ref().is_some_and(|now| now.name == around.name && now.hash != around.hash);
+        }
         let hash =
             hashes.get(&file_of(&input).with_file_name(&around.name)).and_then(|hash| hash.as_ref().ok());
         around.hash.zip(hash).is_some_and(|(recorded, hash)| recorded != *hash)
@@ -248,9 +262,11 @@ fn verify_frame(
     let changed = record.as_ref().and_then(|record| record.around.iter().find(is_other));
     let state = match (input_hash, changed) {
         (Err(unreadable), _) if state.is_done() => ResultState::Stale(unreadable),
-        (_, Some(around)) if state.is_done() => {
-            ResultState::Stale(format!("{}, on which it depends, has changed since", around.name))
-        }
+        (_, Some(around)) if state.is_done() => ResultState::Stale(if around.is_history() {
+            format!("one of the {}, on which it depends, has changed since", around.name)
+        } else {
+            format!("{}, on which it depends, has changed since", around.name)
+        }),
         _ => state,
     };
     VerifiedFrame { name, input, state, input_exists }

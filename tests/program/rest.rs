@@ -164,6 +164,10 @@ fn frames_depend_on_those_before_and_shards_equal_one_process() {
     let path = folder.join("in/block.3.ply");
     let text = fs::read_to_string(&path).expect("text");
     fs::write(&path, text.replacen("0 0.9", "0 0.91", 1)).expect("written");
+    for inputs in [&["verify", "whole"][..], &["verify", "whole", "--input", "in"]] {
+        let stale = meniscus(folder, inputs);
+        assert!(stale.out.contains("2 done, 6 stale"), "{}{}", stale.out, stale.err);
+    }
     let again = convert(folder, "whole", &[&options[..], &["--skip-done"]].concat());
     assert!(
         again.out.contains("block.2.ply: done already") && !again.out.contains("block.3.ply: done already"),
@@ -227,6 +231,8 @@ fn what_the_particles_lack_is_said() {
         .map(|id| position(id, 1).map(|along| along.to_string()).join(",") + &format!(",{id}\n"))
         .collect();
     fs::write(folder.join("in/a.7.csv"), format!("x,y,z,id\n{with_ids}")).expect("written");
+    let late = convert(folder, "out", &["--rest", "8"]);
+    assert!(late.err.contains("--rest 8 has no effect: all frames have lower numbers"), "{}", late.err);
     let missing = convert(folder, "out", &["--rest", "3"]);
     assert!(missing.err.contains("frame 3, which --rest names, is missing"), "{}", missing.err);
 }

@@ -330,3 +330,11 @@ fn filled_cavities_are_bubbles() {
     assert!(radii[0] > 0.09 && radii[0] < 0.19, "{radii:?}");
     assert_eq!(ids(&folder.join("out/a.1.spray.ply")), [-1]);
 }
+
+#[test]
+fn points_outside_the_clip_box_are_left_out() {
+    let folder = splash(true);
+    let folder = folder.path();
+    convert(folder, "out", &["--format", "obj", "--frames", "1", "--clip", "-1,-1,-1,0.2,2,2"]);
+    assert_eq!(ids(&folder.join("out/dam.1.spray.ply")), [1000]);
+}

@@ -21,6 +21,7 @@ use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::warning::{FrameWarning, InputWarning, Warning};
 use crate::surface::options::{FrameReach, RestFrames, Settings};
 use crate::surface::temporal::TemporalReport;
+use crate::surface::words::pluralize;
 
 /// A frame before or after another one.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -90,7 +91,7 @@ impl RecordedAround {
             around.hash.unwrap_or(0).to_le_bytes().into_iter().chain(name).chain([0]).collect::<Vec<u8>>()
         };
         let bytes: Vec<u8> = history.iter().flat_map(hashed).collect();
-        let name = format!("{} frames from {} to {}", history.len(), first.name, last.name);
+        let name = format!("{} from {} to {}", pluralize(history.len(), "frame"), first.name, last.name);
         let hash = Some(XxHash3_128::oneshot(&bytes));
         let history = RecordedAround { steps: HISTORY_STEPS, name, hash, obstacles: String::new() };
         std::iter::once(history).chain(beside).collect()
@@ -332,7 +333,8 @@ pub(crate) fn find_around(
         warnings.push(Warning::Input(InputWarning::NotNumbered));
     }
     if let (Some(RestFrames { first, .. }), Some(number)) = (rest, frame.number)
-        && reach.first(number) == Some(i64::from(*first))
+        && i64::from(*first) < number
+        && rest.is_some_and(|rest| rest.at(number).first() == i64::from(*first))
         && !frame.around.iter().any(|around| around.number == i64::from(*first))
     {
         warnings.push(Warning::Input(InputWarning::ReferenceMissing { number: *first }));

@@ -129,7 +129,7 @@ impl StageContext<'_> {
         let reach = settings.spray_reach();
         let (mut around, mut failures): (Vec<(i32, Arc<FrameSides>)>, _) = (Vec::new(), Vec::new());
         let own = apart.by_ids();
-        let has_ids = own.is_some();
+        let has_ids = own.as_ref().is_some_and(|own| !own.is_empty());
         if reach > 0 {
             if let Some((_, path, hash)) = sequence.iter().find(|(at, ..)| *at == steps) {
                 self.keep_sides(path, *hash, settings, own);

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use glam::DVec3;
+
 use super::shape::scales;
 use crate::options::Settings;
 use crate::particles::{Attribute, AttributeValues, OwnedPositions, find_attribute, ids_of};
@@ -71,6 +73,14 @@ impl ApartParticles {
         let radii = radii(positions.len(), attributes, settings);
         let of_pieces = (&links, settings.spacing);
         let (fluid, of_fluid, mut spray) = take_spray(positions, attributes, &sides, &radii, of_pieces);
+        if let Some(clip) = &settings.clip {
+            let is_inside = |index: usize| {
+                let position = spray.positions.position(index);
+                (DVec3::from(clip.min).cmple(position) & position.cmple(DVec3::from(clip.max))).all()
+            };
+            let is_kept: Vec<bool> = (0..spray.positions.len()).map(is_inside).collect();
+            spray.retain(&is_kept);
+        }
         for Attribute { role, values, .. } in &mut spray.attributes {
             match role.scale(settings.velocity_scale) {
                 1.0 => {}

@@ -38,6 +38,11 @@ impl FrameSides {
         FrameSides { present, apart }
     }
 
+    /// Whether no particle has an id of its own.
+    pub fn is_empty(&self) -> bool {
+        self.present.is_empty()
+    }
+
     /// The memory of the sides, in bytes.
     pub fn size_bytes(&self) -> usize {
         size_of_val(&*self.present) + size_of_val(&*self.apart)

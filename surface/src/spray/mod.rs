@@ -112,6 +112,15 @@ impl Spray {
         numbers.map(|numbers| numbers.as_chunks().0.to_vec()).unwrap_or_default()
     }
 
+    /// Keeps the points for which `mask` is true.
+    pub(crate) fn retain(&mut self, mask: &[bool]) {
+        (self.positions, self.attributes) = rows_of(&(&self.positions).into(), &self.attributes, mask);
+        self.radii = rows(&self.radii, 1, mask);
+        self.classes = rows(&self.classes, 1, mask);
+        self.piece_sizes = rows(&self.piece_sizes, 1, mask);
+        self.ages = self.ages.take().map(|ages| rows(&ages, 1, mask));
+    }
+
     /// Adds bubbles. They have no particles: their numbers are 0, their integers −1, and their strings missing.
     pub(crate) fn add_bubbles(&mut self, bubbles: &[Bubble]) {
         match &mut self.positions {
