@@ -21,7 +21,7 @@
 //! is counted.
 //!
 //! **Rest coordinates** are positions in an earlier frame. Their mean belongs to the mean of the particles' positions,
-//! which is about half a spacing deeper in the fluid than the vertex: see [rest].
+//! which is about half a spacing deeper in the fluid than the vertex: see `rest`.
 //!
 //! **Band.** Volume renderers need values in a band around the surface that is several voxels wide. Outside
 //! the fluid, a voxel gets the values at the nearest point on the surface, because a point far from all
