@@ -427,7 +427,10 @@ mod tests {
         let (kept, missing) =
             named(&["age", "normal_curvature"]).select(two_particles()).expect("nothing is needed");
         assert!(kept.is_empty() && missing.len() == 1, "{missing:?}");
-        assert_eq!(missing[0].to_string(), "`age` is not computed: the particles have no ids");
+        assert_eq!(
+            missing[0].to_string(),
+            "`age` is not computed: the particles have no ids that are whole numbers"
+        );
     }
 
     #[test]
