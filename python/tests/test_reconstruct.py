@@ -258,7 +258,7 @@ def test_every_option_changes_something_or_is_refused(block):
     special = {"preset": "splash", "radius_min": "1.2d", "radius_ratio": 2.5, "radius_init": "1.5d", "spacing": 0.1,
                "voxel_size": "0.5d", "clip": (0, 0, 0, 0.5, 0.5, 0.5), "radius_attribute": "r", "max_stretch": 3.0,
                "thin_radius": "0.5d", "lone_radius": "0.5d", "neighbor_radius": "3d", "offset": "0.1h",
-               "step_size": 1.0, "fill_cavities": 4.0, "columns": "x=a", "where": "r > 0"}  # fmt: skip
+               "step_size": 1.0, "fill_cavities": 4.0, "columns": "x=a", "where": "r > 0", "rest_period": 4}  # fmt: skip
     needs = {"radius_attribute": {}, "radius_scale": {"radius_attribute": "r"},
              "velocity_gain": {"anisotropy": "velocity"}}  # fmt: skip
     attributes = {"r": np.full(1000, 0.07, np.float32)}
