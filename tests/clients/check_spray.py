@@ -129,10 +129,10 @@ def usd(case):
 
     for number in NUMBERS:
         files = [Usd.Stage.Open(str(case.path(number, ending))) for ending in ("usdc", "spray.usdc")]
-        prims = [file.GetPrimAtPath(path) for file, path in zip(files, ("/root/surface", "/root/spray"))]
+        prims = [file.GetDefaultPrim().GetPrimAtPath(name) for file, name in zip(files, ("surface", "spray"))]
         compare(f"dam.{number}.spray.usdc", number, *prims, Usd.TimeCode.Default())
     stage = Usd.Stage.Open(str(case.folder / "shot.usda"))
-    prims = [stage.GetPrimAtPath(path) for path in ("/root/dam/surface", "/root/dam_spray/spray")]
+    prims = [stage.GetDefaultPrim().GetPrimAtPath(path) for path in ("dam/surface", "dam_spray/spray")]
     for code in np.arange(1, 7.5, 0.5):
         compare(f"shot.usda at {code}", max(number for number in NUMBERS if number <= code), *prims, code)
     # What the command usdchecker does, which the package does not have.

@@ -19,7 +19,7 @@ use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::json::hex;
 use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::warning::{FrameWarning, InputWarning, Warning};
-use crate::surface::options::{FrameReach, RestFrames, Settings};
+use crate::surface::options::{FrameReach, Settings};
 use crate::surface::temporal::TemporalReport;
 use crate::surface::words::pluralize;
 
@@ -332,12 +332,12 @@ pub(crate) fn find_around(
     if (*temporal > 0 || reach.has_history()) && frame.number.is_none() {
         warnings.push(Warning::Input(InputWarning::NotNumbered));
     }
-    if let (Some(RestFrames { first, .. }), Some(number)) = (rest, frame.number)
-        && i64::from(*first) < number
-        && rest.is_some_and(|rest| rest.at(number).first() == i64::from(*first))
-        && !frame.around.iter().any(|around| around.number == i64::from(*first))
-    {
-        warnings.push(Warning::Input(InputWarning::ReferenceMissing { number: *first }));
+    if let (Some(rest), Some(number)) = (rest, frame.number) {
+        let first = i64::from(rest.first);
+        let is_wanted = first < number && rest.at(number).first() == first;
+        if is_wanted && !frame.around.iter().any(|around| around.number == first) {
+            warnings.push(Warning::Input(InputWarning::ReferenceMissing { number: rest.first }));
+        }
     }
     let mut find = |around: &AroundFrame| {
         // The level sets of the history are not needed.
@@ -393,6 +393,7 @@ fn content_of(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::surface::options::RestFrames;
 
     fn files(names: &[&str]) -> Vec<FrameFile> {
         names.iter().map(|name| FrameFile::new(name.into())).collect()
