@@ -125,7 +125,8 @@ pub(crate) fn of_integers(integers: Vec<i64>, role: Option<AttributeRole>) -> Va
             | AttributeRole::Normal
             | AttributeRole::Radius
             | AttributeRole::Density
-            | AttributeRole::Mass,
+            | AttributeRole::Mass
+            | AttributeRole::TextureCoordinates,
         ) => true,
         // A colour with only the values 0 and 1 probably has floats.
         Some(AttributeRole::Color) => are_within(0, 1),
@@ -204,6 +205,7 @@ fn ranked_role(name: &str, arity: usize) -> Option<(AttributeRole, usize)> {
             | AttributeRole::Mass
             | AttributeRole::Id
             | AttributeRole::Kind => arity == 1,
+            AttributeRole::TextureCoordinates => arity == 2 || arity == 3,
         };
         let rank = aliases.iter().position(|&alias| alias == stem)?;
         arity_fits.then_some((role, rank))
@@ -483,6 +485,7 @@ const ROLES: &[(AttributeRole, &[&str])] = &[
             "object_id",
         ],
     ),
+    (AttributeRole::TextureCoordinates, &["uv", "st", "uvmap", "texcoord"]),
 ];
 
 /// Aliases of the radius whose values are diameters.

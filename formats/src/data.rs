@@ -109,6 +109,8 @@ pub enum AttributeRole {
     Id,
     /// Phase, type or group, arity 1.
     Kind,
+    /// A place in a picture, with (0, 0) in its lower left corner, arity 2 or 3.
+    TextureCoordinates,
 }
 
 /// The values of one attribute: `arity` values per particle, particle by particle.
@@ -208,7 +210,7 @@ impl FileAttribute {
             Values::Strings { table, indices } => VertexValues::Strings { table, indices },
             Values::F64(_) | Values::U8(_) | Values::I32(_) => return None,
         };
-        Some(VertexAttribute { name, role: *role, arity: *arity, values })
+        Some(VertexAttribute { name, role: *role, arity: *arity, values, seams: None })
     }
 
     /// Keeps the values of the particles for which `mask` is true.
@@ -316,7 +318,10 @@ impl MeshView<'_> {
         if !self.origin.iter().all(|c| c.is_finite()) {
             return invalid(format!("the origin {:?} is not finite", self.origin));
         }
-        self.attributes.iter().try_for_each(|attribute| attribute.check(vertices, format))
+        self.attributes.iter().try_for_each(|attribute| {
+            attribute.check(vertices, format)?;
+            attribute.seams.map_or(Ok(()), |seams| seams.check(attribute, self.triangles, vertices, format))
+        })
     }
 }
 
@@ -331,6 +336,18 @@ pub struct VertexAttribute<'a> {
     pub arity: usize,
     /// `arity` values per vertex, vertex by vertex.
     pub values: VertexValues<'a>,
+    /// For [texture coordinates](AttributeRole::TextureCoordinates), the values at corners of triangles that differ from
+    /// those of their vertices; `None` without such corners.
+    pub seams: Option<Seams<'a>>,
+}
+
+/// Texture coordinates of the corners of triangles: a vertex at a seam has other values in some of its triangles.
+#[derive(Clone, Copy, Debug)]
+pub struct Seams<'a> {
+    /// Two finite numbers per row: first the rows of the vertices, then others, each of which belongs to one vertex.
+    pub values: &'a [[f32; 2]],
+    /// For each triangle of the mesh, the rows of its corners.
+    pub triangles: &'a [[u32; 3]],
 }
 
 /// The values of a vertex attribute.
@@ -368,6 +385,36 @@ impl<'a> VertexAttribute<'a> {
             && !all_finite(values)
         {
             return invalid(format!("attribute {name} has a value that is not finite"));
+        }
+        Ok(())
+    }
+}
+
+impl Seams<'_> {
+    /// Fails unless the attribute has texture coordinates, every corner has a row, that of its vertex or one that follows
+    /// those of the vertices, and all values are finite.
+    fn check(
+        &self,
+        attribute: &VertexAttribute,
+        triangles: &[[u32; 3]],
+        vertex_count: usize,
+        format: &'static str,
+    ) -> Result<()> {
+        let VertexAttribute { name, role, arity, values, .. } = attribute;
+        let is_texture = (*role, *arity) == (Some(AttributeRole::TextureCoordinates), 2);
+        let is_row = |(row, vertex): (&u32, &u32)| {
+            row == vertex || (vertex_count..self.values.len()).contains(&(*row as usize))
+        };
+        let mut corners = self.triangles.as_flattened().iter().zip(triangles.as_flattened());
+        let is_valid = is_texture
+            && self.values.len() >= vertex_count
+            && matches!(values, VertexValues::Numbers(_))
+            && self.triangles.len() == triangles.len()
+            && corners.all(is_row)
+            && all_finite(self.values.as_flattened());
+        if !is_valid {
+            let what = format!("the seams of attribute {name} do not match the mesh");
+            return Err(Error::invalid(format, Position::File, what));
         }
         Ok(())
     }

@@ -80,7 +80,9 @@ impl NarrowAttribute<'_> {
             NarrowValues::Integers(values) => VertexValues::Integers(values),
             NarrowValues::Strings { table, indices } => VertexValues::Strings { table, indices },
         };
-        VertexAttribute { name: self.name, role: self.role, arity: self.arity, values }
+        // Points have no texture.
+        let role = self.role.filter(|role| *role != AttributeRole::TextureCoordinates);
+        VertexAttribute { name: self.name, role, arity: self.arity, values, seams: None }
     }
 }
 

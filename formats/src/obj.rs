@@ -12,7 +12,9 @@ use crate::options::{MeshOptions, WriteOption};
 use crate::provenance::{GENERATOR, comments, from_comments};
 use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleReader};
 use crate::text::{NumberWriter, ends_with_line, excerpt};
-use crate::vertex_attributes::{Face, Purpose, check_quads, clamp_note, faces, purposes, quad_count};
+use crate::vertex_attributes::{
+    Face, Purpose, check_quads, clamp_note, faces, purposes, quad_count, texture_of,
+};
 
 /// The format's name in errors.
 pub(crate) const FORMAT: &str = "OBJ";
@@ -40,11 +42,11 @@ pub(crate) static ROW: OutputRow = OutputRow {
 //
 // Numbers are the shortest decimals that parse back to the same value. Lines are formatted in parallel, a
 // range of elements per task, and written in order. The last line is a comment with the element counts,
-// because nothing else in the format distinguishes a complete file from a truncated one. The only vertex
-// attribute that can be stored is the colour. It follows the position, an unofficial extension that most
-// readers support.
+// because nothing else in the format distinguishes a complete file from a truncated one. The only attributes that
+// can be stored are texture coordinates, with values of their own at the corners along seams, and the colour. It
+// follows the position, an unofficial extension that most readers support.
 //
-//   batch 0: header │ batch 1: v v ‥ v vn ‥ vn │ batch 2: vn ‥ vn f ‥ f │ f ‥ f, last line
+//   batch 0: header │ batch 1: v v ‥ v vt ‥ vt vn ‥ vn │ batch 2: vn ‥ vn f ‥ f │ f ‥ f, last line
 //                              └┴ one task each, up to 8192 lines
 //
 // Each batch can be encoded independently, so the writer need not hold the whole text.
@@ -77,7 +79,7 @@ fn encode_batch(
 ) -> Result<Vec<Vec<u8>>> {
     let Some(index) = index.checked_sub(1) else {
         mesh.check(FORMAT)?;
-        check_quads(FORMAT, mesh.triangles, &options.quads)?;
+        check_quads(FORMAT, mesh, &options.quads)?;
         let name = options.name.replace(char::is_control, "_");
         let header = format!("# {GENERATOR}\n{}o {name}\n", comments(provenance, "# "));
         return Ok(vec![header.into_bytes()]);
@@ -96,26 +98,25 @@ fn encode_batch(
     Ok(texts)
 }
 
-/// The number of tasks for positions, normals and triangles.
-fn task_counts(mesh: &MeshView) -> [usize; 3] {
-    [mesh.positions.len(), mesh.normals.len(), mesh.triangles.len()]
+/// The number of tasks for positions, texture coordinates, normals and triangles.
+fn task_counts(mesh: &MeshView) -> [usize; 4] {
+    let texture = texture_of(mesh).map_or(0, |(rows, _)| rows.len());
+    [mesh.positions.len(), texture, mesh.normals.len(), mesh.triangles.len()]
         .map(|count| count.div_ceil(ELEMENTS_PER_TASK))
 }
 
 /// The lines of one task.
 fn text_of(mesh: &MeshView, quads: &[bool], task: usize) -> Vec<u8> {
-    let [position_tasks, normal_tasks, _] = task_counts(mesh);
-    if position_tasks + normal_tasks <= task {
-        let task = task - position_tasks - normal_tasks;
-        if !quads.is_empty() {
-            return faces_of(mesh.triangles, quads, task);
-        }
-        return lines_of(run_of(mesh.triangles, task), |line, triangle| line.face(triangle));
+    let [position_tasks, texture_tasks, normal_tasks, _] = task_counts(mesh);
+    let texture = texture_of(mesh);
+    if let Some(task) = task.checked_sub(position_tasks + texture_tasks + normal_tasks) {
+        return faces_of(mesh.triangles, texture.map(|(_, triangles)| triangles), quads, task);
     }
-    if position_tasks <= task {
-        return lines_of(run_of(mesh.normals, task - position_tasks), |line, normal| {
-            line.reals("vn", *normal)
-        });
+    if let Some(task) = task.checked_sub(position_tasks + texture_tasks) {
+        return lines_of(run_of(mesh.normals, task), |line, normal| line.reals("vn", *normal));
+    }
+    if let (Some(task), Some((rows, _))) = (task.checked_sub(position_tasks), texture) {
+        return lines_of(run_of(rows, task), |line, row| line.reals("vt", *row));
     }
     let positions = run_of(mesh.positions, task);
     let Some(color) = colors_of(mesh) else {
@@ -142,7 +143,7 @@ fn colors_of<'a>(mesh: &MeshView<'a>) -> Option<impl Fn(usize) -> [f32; 3] + 'a>
         purposes(mesh.attributes).into_iter().zip(mesh.attributes).find_map(|(purpose, attribute)| {
             match purpose {
                 Purpose::Color(values) => Some((values, attribute.arity)),
-                Purpose::Velocity | Purpose::Acceleration | Purpose::Other => None,
+                Purpose::Velocity | Purpose::Acceleration | Purpose::Texture | Purpose::Other => None,
             }
         });
     let (values, arity) = found?;
@@ -162,8 +163,11 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
                 let channels = values.chunks_exact(*arity).flat_map(|color| &color[..3]);
                 notes.extend(clamp_note(name, channels, "the .obj"));
             }
+            Purpose::Texture => {}
             Purpose::Velocity | Purpose::Acceleration | Purpose::Other => {
-                notes.push(format!("{name} is missing in the .obj, which can only store colours"));
+                notes.push(format!(
+                    "{name} is missing in the .obj, which can only store colours and texture coordinates"
+                ));
             }
         }
     }
@@ -181,21 +185,26 @@ fn range_of(count: usize, task: usize) -> Range<usize> {
     start..(start + ELEMENTS_PER_TASK).min(count)
 }
 
-/// The face lines of one task, including quads.
-fn faces_of(triangles: &[[u32; 3]], quads: &[bool], task: usize) -> Vec<u8> {
-    let faces: Vec<Face> = faces(triangles, quads, range_of(triangles.len(), task)).collect();
-    lines_of(&faces, |line, face| line.face(face.corners()))
+/// The face lines of one task, including quads. `texture` has the rows of the corners of each triangle, if any.
+fn faces_of(triangles: &[[u32; 3]], texture: Option<&[[u32; 3]]>, quads: &[bool], task: usize) -> Vec<u8> {
+    let range = range_of(triangles.len(), task);
+    let of_vertices = faces(triangles, quads, range.clone());
+    let Some(texture) = texture else {
+        return lines_of(&of_vertices.collect::<Vec<Face>>(), |line, face| line.face(face.corners(), None));
+    };
+    let both: Vec<(Face, Face)> = of_vertices.zip(faces(texture, quads, range)).collect();
+    lines_of(&both, |line, (face, rows)| line.face(face.corners(), Some(rows.corners())))
 }
 
 impl NumberWriter {
-    /// Writes a line with a keyword and three numbers.
-    fn reals<T: zmij::Float>(&mut self, keyword: &str, numbers: [T; 3]) {
+    /// Writes a line with a keyword and some numbers.
+    fn reals<T: zmij::Float, const N: usize>(&mut self, keyword: &str, numbers: [T; N]) {
         self.reals_open(keyword, numbers);
         self.text.push(b'\n');
     }
 
-    /// Writes a keyword and three numbers, without the end of the line.
-    fn reals_open<T: zmij::Float>(&mut self, keyword: &str, numbers: [T; 3]) {
+    /// Writes a keyword and some numbers, without the end of the line.
+    fn reals_open<T: zmij::Float, const N: usize>(&mut self, keyword: &str, numbers: [T; N]) {
         self.text.extend_from_slice(keyword.as_bytes());
         for number in numbers {
             self.text.push(b' ');
@@ -203,13 +212,17 @@ impl NumberWriter {
         }
     }
 
-    /// Writes a face whose corners have the same index as their normals.
-    fn face(&mut self, corners: &[u32]) {
+    /// Writes a face whose corners have the same index as their normals, and these rows of texture coordinates.
+    fn face(&mut self, corners: &[u32], rows: Option<&[u32]>) {
         self.text.push(b'f');
-        for &index in corners {
+        for (corner, &index) in corners.iter().enumerate() {
             self.text.push(b' ');
             self.integer(u64::from(index) + 1);
-            self.text.extend_from_slice(b"//");
+            self.text.push(b'/');
+            if let Some(row) = rows.and_then(|rows| rows.get(corner)) {
+                self.integer(u64::from(*row) + 1);
+            }
+            self.text.push(b'/');
             self.integer(u64::from(index) + 1);
         }
         self.text.push(b'\n');

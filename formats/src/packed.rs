@@ -26,7 +26,7 @@ const MAGIC: &[u8] = b"\x93meniscus particles\x01";
 const PACKED: &str = "packed particles";
 
 /// The roles; their codes are their places, from 1.
-const ROLES: [AttributeRole; 9] = [
+const ROLES: [AttributeRole; 10] = [
     AttributeRole::Velocity,
     AttributeRole::Acceleration,
     AttributeRole::Normal,
@@ -36,6 +36,7 @@ const ROLES: [AttributeRole; 9] = [
     AttributeRole::Mass,
     AttributeRole::Id,
     AttributeRole::Kind,
+    AttributeRole::TextureCoordinates,
 ];
 
 /// The types of values; their codes are their places. Strings have the code after them.

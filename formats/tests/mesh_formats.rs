@@ -88,6 +88,7 @@ impl Mesh {
             role,
             arity,
             values: VertexValues::Numbers(values),
+            seams: None,
         };
         vec![
             numbers("heat \u{1}2", None, 1, &*self.heat),
@@ -98,12 +99,14 @@ impl Mesh {
                 role: Some(AttributeRole::Id),
                 arity: 1,
                 values: VertexValues::Integers(&self.ids),
+                seams: None,
             },
             VertexAttribute {
                 name: "2nd",
                 role: None,
                 arity: 1,
                 values: VertexValues::Strings { table: &self.table, indices: &self.names },
+                seams: None,
             },
         ]
     }

@@ -198,7 +198,7 @@ impl AttributeSlice<'_> {
 }
 
 /// The names of roles in Python.
-const ROLES: [(AttributeRole, &str); 9] = [
+const ROLES: [(AttributeRole, &str); 10] = [
     (AttributeRole::Velocity, "velocity"),
     (AttributeRole::Acceleration, "acceleration"),
     (AttributeRole::Normal, "normal"),
@@ -208,6 +208,7 @@ const ROLES: [(AttributeRole, &str); 9] = [
     (AttributeRole::Mass, "mass"),
     (AttributeRole::Id, "id"),
     (AttributeRole::Kind, "kind"),
+    (AttributeRole::TextureCoordinates, "uv"),
 ];
 
 /// The name of a role in Python.

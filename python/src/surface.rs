@@ -123,7 +123,7 @@ impl Surface {
                 Role::Color => Some("color"),
                 Role::Radius => Some("radius"),
                 Role::Id => Some("id"),
-                Role::Rest | Role::Other => None,
+                Role::Rest | Role::TextureCoordinates | Role::Other => None,
             };
             let table = match &attribute.values {
                 AttributeValues::Strings { table, .. } => Some(table.to_vec()),

@@ -3,7 +3,7 @@
 //! ```text
 //!   /surface                Xform      .inherits .ops .vals: a matrix, if positions are not in world space
 //!   /surface/surfaceShape   PolyMesh   .geom
-//!                                        .selfBnds .faceIndices .faceCounts P N .velocities
+//!                                        .selfBnds .faceIndices .faceCounts P N .velocities uv
 //!                                        .arbGeomParams: the other attributes, each under its name
 //! ```
 //!
@@ -48,6 +48,7 @@ pub(super) mod names {
     pub(crate) const VELOCITIES: &str = ".velocities";
     pub(crate) const IDS: &str = ".pointIds";
     pub(crate) const WIDTHS: &str = ".widths";
+    pub(crate) const TEXTURE: &str = "uv";
     pub(crate) const PARAMS: &str = ".arbGeomParams";
     pub(crate) const TRANSFORM: &str = ".xform";
     pub(crate) const OPERATIONS: &str = ".ops";
@@ -91,8 +92,14 @@ impl ParamType {
 
     const NORMAL: ParamType = ParamType { pod: Pod::F32, extent: 3, elements: 1, interpretation: "normal" };
 
-    /// The metadata of an attribute with a value per vertex. The keys are sorted.
+    /// The metadata of an attribute with a value per vertex.
     pub(super) fn metadata(&self) -> String {
+        self.metadata_in("vtx")
+    }
+
+    /// The metadata of an attribute with values for what a scope of Alembic says: `vtx` for vertices, `fvr` for the corners
+    /// of faces. The keys are sorted.
+    pub(super) fn metadata_in(&self, scope: &str) -> String {
         let ParamType { pod, extent, elements, interpretation } = self;
         let meaning = match *interpretation {
             "" => String::new(),
@@ -110,7 +117,7 @@ impl ParamType {
             Pod::String => "string",
         };
         format!(
-            "arrayExtent={elements};geoScope=vtx;{meaning}isGeomParam=true;podExtent={extent};podName={pod}"
+            "arrayExtent={elements};geoScope={scope};{meaning}isGeomParam=true;podExtent={extent};podName={pod}"
         )
     }
 
@@ -160,9 +167,14 @@ impl MeshSamples {
         self.velocities.extend(frame.velocities);
     }
 
-    /// The transform with the mesh under it. `params` are the attributes without a property of their own in
-    /// the schema.
-    pub(super) fn object(self, params: Vec<AbcProperty>, ogawa: &mut Ogawa) -> Result<AbcObject> {
+    /// The transform with the mesh under it. `texture` are its texture coordinates, and `params` the attributes without a
+    /// property of their own in the schema.
+    pub(super) fn object(
+        self,
+        texture: Option<AbcProperty>,
+        params: Vec<AbcProperty>,
+        ogawa: &mut Ogawa,
+    ) -> Result<AbcObject> {
         let real = (Pod::F32, 3);
         let mut geometry = vec![
             AbcProperty::scalar(".selfBnds", "interpretation=box", (Pod::F64, 6), self.bounds),
@@ -179,6 +191,7 @@ impl MeshSamples {
                 self.velocities,
             ));
         }
+        geometry.extend(texture);
         if !params.is_empty() {
             geometry.push(AbcProperty::compound(names::PARAMS, "", params));
         }

@@ -31,8 +31,8 @@ use crate::data::{
 };
 use crate::error::{Error, Position, Result};
 use crate::gltf::{
-    COLOR, NORMAL, POSITION, PlacedMesh, SequenceFrame, SequencePlacement, SharedAttribute, VELOCITY,
-    shared_attributes,
+    COLOR, NORMAL, POSITION, PlacedMesh, PlacedSeams, SequenceFrame, SequencePlacement, SharedAttribute,
+    TEXTURE, VELOCITY, shared_attributes,
 };
 use crate::limits::Limits;
 use crate::matrix::Matrix;
@@ -43,14 +43,16 @@ use crate::provenance::are_points;
 use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleReader};
 use crate::sequence::{check_numbers, held_times};
 use crate::vertex_attributes::{
-    Purpose, UsedNames, check_quads, faces, plain_name, purposes, quad_count, string_index,
+    Purpose, UsedNames, check_quads, faces, plain_name, purposes, quad_count, string_index, texture_of,
 };
 use document::{AbcObject, AbcProperty, MAGIC, Ogawa, Pod, StoredSample, Times, write_archive};
 use mesh::{
     FrameSamples, MeshSamples, ParamType, PointSamples, bounds, bounds_sample, names, real_sample, to_world,
     triangle_samples,
 };
-use read::{SampledMesh, bytes_declared, check_single_frame, own_head, own_mesh, read_provenance};
+use read::{
+    SampledMesh, bytes_declared, check_single_frame, own_head, own_mesh, read_provenance, rows_of_corners,
+};
 use scene::{Geometry, Scene};
 
 /// The format's name in errors.
@@ -93,7 +95,7 @@ pub fn write(
     out: &mut dyn Write,
 ) -> Result<()> {
     mesh.check(FORMAT)?;
-    check_quads(FORMAT, mesh.triangles, &options.quads)?;
+    check_quads(FORMAT, mesh, &options.quads)?;
     check_vertex_count(mesh.positions.len() as u64)?;
     let names = names_of(mesh.attributes);
     write_archive(provenance, &Times::Static, |ogawa| object(mesh, options, &names, ogawa), out)
@@ -109,11 +111,11 @@ fn check_vertex_count(count: u64) -> Result<()> {
     Err(Error::too_large(FORMAT, what))
 }
 
-/// The names of the attributes; empty for velocities, which have a property of their own.
+/// The names of the attributes; empty for velocities and texture coordinates, which have properties of their own.
 fn names_of(attributes: &[VertexAttribute]) -> Vec<String> {
     let mut used = UsedNames::new(&[]);
     let name = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
-        Purpose::Velocity => String::new(),
+        Purpose::Velocity | Purpose::Texture => String::new(),
         Purpose::Acceleration | Purpose::Color(_) | Purpose::Other => used.take(&plain_name(attribute.name)),
     };
     attributes.iter().zip(purposes(attributes)).map(name).collect()
@@ -137,10 +139,7 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
 
 fn object(mesh: &MeshView, options: &MeshOptions, names: &[String], ogawa: &mut Ogawa) -> Result<AbcObject> {
     let vertices = mesh.positions.len() as u64;
-    let faces = match quad_count(&options.quads) {
-        0 => triangle_samples(mesh.triangles, mesh.triangles.len() as u64, ogawa)?,
-        quad_count => polygon_samples(mesh.triangles, &options.quads, quad_count, ogawa)?,
-    };
+    let faces = face_samples(mesh.triangles, &options.quads, ogawa)?;
     let mut frame = FrameSamples {
         bounds: bounds_sample(bounds(mesh.positions), ogawa)?,
         positions: real_sample(mesh.positions.as_flattened(), (vertices, 3), ogawa)?,
@@ -150,9 +149,36 @@ fn object(mesh: &MeshView, options: &MeshOptions, names: &[String], ogawa: &mut 
     };
     let params;
     (frame.velocities, params) = attribute_samples(mesh.attributes, names, ogawa)?;
+    let texture =
+        texture_of(mesh).map(|texture| texture_property(texture, &options.quads, ogawa)).transpose()?;
     let mut samples = MeshSamples::at(to_world(options.up, mesh.origin));
     samples.push(frame);
-    samples.object(params, ogawa)
+    samples.object(texture, params, ogawa)
+}
+
+/// The texture coordinates: distinct values, and the index of each corner of a face.
+fn texture_property(
+    (rows, triangles): (&[[f32; 2]], &[[u32; 3]]),
+    quads: &[bool],
+    ogawa: &mut Ogawa,
+) -> Result<AbcProperty> {
+    let kind = ParamType::numbers(2);
+    let metadata = kind.metadata_in("fvr");
+    let values = real_sample(rows.as_flattened(), (rows.len() as u64, 2), ogawa)?;
+    let [indices, _] = face_samples(triangles, quads, ogawa)?;
+    let parts = vec![
+        AbcProperty::array(".vals", &metadata, (kind.pod, kind.extent), vec![values]),
+        AbcProperty::array(".indices", "", (Pod::U32, 1), vec![indices]),
+    ];
+    Ok(AbcProperty::compound(names::TEXTURE, &metadata, parts))
+}
+
+/// Writes the vertex indices of faces, in Alembic's order, and the number of corners of each.
+fn face_samples(triangles: &[[u32; 3]], quads: &[bool], ogawa: &mut Ogawa) -> Result<[StoredSample; 2]> {
+    match quad_count(quads) {
+        0 => triangle_samples(triangles, triangles.len() as u64, ogawa),
+        quad_count => polygon_samples(triangles, quads, quad_count, ogawa),
+    }
 }
 
 /// The velocities, and the other attributes under these names.
@@ -167,6 +193,7 @@ fn attribute_samples(
             (Purpose::Velocity, VertexValues::Numbers(values)) => {
                 velocities = Some(real_sample(values, (values.len() as u64 / 3, 3), ogawa)?);
             }
+            (Purpose::Texture, _) => {}
             (Purpose::Color(values), _) => {
                 params.push(reals(name, ParamType::color(attribute.arity), values, ogawa)?);
             }
@@ -405,10 +432,15 @@ impl AbcSequence<'_> {
                 params.iter_mut().zip(&values).for_each(|(samples, sample)| samples.push(*sample));
             }
         }
-        let others = self.attributes.iter().zip(params).filter(|(attribute, _)| !attribute.is_velocity());
-        let params: Vec<AbcProperty> =
-            others.map(|(attribute, samples)| attribute.kind.property(&attribute.name, samples)).collect();
-        samples.object(params, ogawa)
+        let (mut texture, mut others) = (None, Vec::new());
+        for (attribute, samples) in self.attributes.iter().zip(params) {
+            if attribute.is_texture() {
+                texture = Some(attribute.kind.property(names::TEXTURE, samples));
+            } else if !attribute.is_velocity() {
+                others.push(attribute.kind.property(&attribute.name, samples));
+            }
+        }
+        samples.object(texture, others, ogawa)
     }
 
     /// Writes the arrays of a frame. Returns the samples of the mesh, and those of the attributes.
@@ -460,6 +492,11 @@ impl AbcAttribute {
     fn is_velocity(&self) -> bool {
         self.semantic == VELOCITY && self.kind == ParamType::numbers(3)
     }
+
+    /// Whether it has texture coordinates. The vertices are split at seams, as in the frames.
+    fn is_texture(&self) -> bool {
+        self.semantic == TEXTURE && self.kind == ParamType::numbers(2)
+    }
 }
 
 /// The attributes that all frames with a mesh have, and notes on the others.
@@ -473,7 +510,7 @@ fn sequence_attributes(frames: &[SequenceFrame]) -> Result<(Vec<AbcAttribute>, V
             _ => ParamType::numbers(arity),
         };
         let mut attribute = AbcAttribute { semantic, name: String::new(), kind };
-        if !attribute.is_velocity() {
+        if !attribute.is_velocity() && !attribute.is_texture() {
             attribute.name = used.take(&wanted);
             if attribute.name != wanted {
                 notes.push(format!("{} is named {} in the sequence", attribute.semantic, attribute.name));
@@ -511,12 +548,21 @@ pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(V
         return Err(Error::invalid(FORMAT, Position::File, NOT_OURS));
     }
     let (up, origin) = placement(&scene.world(mesh, None)?)?;
-    let attributes = frame_attributes(&scene, mesh, positions.len())?;
+    let mut attributes = frame_attributes(&scene, mesh, positions.len())?;
+    let mut seams = None;
+    if let Some((texture, corners)) = frame_texture(&scene, mesh)? {
+        attributes.push(texture);
+        seams = PlacedSeams::of(&mut attributes, positions.len(), corners);
+    }
     let provenance = own_head(&bytes).unwrap_or_default();
     drop(scene);
     drop(bytes);
     let [positions, normals] = [positions, normals].map(Vec::into_flattened);
-    PlacedMesh { positions, normals, triangles, origin, attributes }.to_glb(up, &provenance, byte_count)
+    PlacedMesh { positions, normals, triangles, origin, attributes, seams }.to_glb(
+        up,
+        &provenance,
+        byte_count,
+    )
 }
 
 /// Reads the vertex attributes of an archive of this crate with one frame, except normals, under their own
@@ -533,7 +579,11 @@ pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribut
     let mesh = own_mesh(&scene)?;
     check_single_frame(&scene, limits)?;
     let vertices = scene::vectors(&scene, mesh.required(names::POSITIONS)?, 0)?.len();
-    let attributes = frame_attributes(&scene, mesh, vertices)?;
+    let mut attributes = frame_attributes(&scene, mesh, vertices)?;
+    if let Some((texture, corners)) = frame_texture(&scene, mesh)? {
+        attributes.push(texture);
+        PlacedSeams::of(&mut attributes, vertices, corners);
+    }
     match attributes.iter().find(|attribute| attribute.values.len() != vertices * attribute.arity) {
         None => Ok(attributes),
         Some(FileAttribute { name, values, .. }) => {
@@ -562,7 +612,26 @@ fn placement(matrix: &Matrix) -> Result<(UpAxis, [f64; 3])> {
     Err(Error::invalid(FORMAT, Position::File, NOT_OURS))
 }
 
-/// The attributes of the vertices. Their arity is rounded up: the caller refuses lengths that do not match.
+/// The texture coordinates: all rows, and those of the corners of each triangle.
+fn frame_texture(scene: &Scene, mesh: &Geometry) -> Result<Option<(FileAttribute, Vec<[u32; 3]>)>> {
+    let Some(texture) = mesh.property(names::TEXTURE) else { return Ok(None) };
+    let parts = scene.archive.compound(texture)?;
+    let part = |name: &str| parts.iter().find(|part| part.name == name);
+    let (Some(values), Some(indices)) = (part(".vals"), part(".indices")) else {
+        return Err(Error::invalid(FORMAT, Position::File, NOT_OURS));
+    };
+    let values = scene.archive.elements::<8>(values, (Pod::F32, 2), 0)?;
+    let number = |bytes: &[u8; 4]| f32::from_le_bytes(*bytes);
+    let values: Vec<f32> = values.iter().flat_map(|row| row.as_chunks().0.iter().map(number)).collect();
+    let corners = rows_of_corners(&scene.archive, mesh, indices, values.len() / 2)?;
+    let role = Some(AttributeRole::TextureCoordinates);
+    Ok(Some((
+        FileAttribute { name: names::TEXTURE.to_owned(), arity: 2, role, values: Values::F32(values) },
+        corners,
+    )))
+}
+
+/// The attributes of the vertices, without texture coordinates. Their arity is rounded up: the caller refuses lengths that do not match.
 fn frame_attributes(scene: &Scene, mesh: &Geometry, vertex_count: usize) -> Result<Vec<FileAttribute>> {
     let mut attributes = Vec::new();
     let mut push = |name: String, role, values: Values| {

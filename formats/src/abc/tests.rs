@@ -269,7 +269,7 @@ fn meshes_are_read_at_a_time() {
                 velocities: None,
             });
         }
-        samples.object(Vec::new(), ogawa)
+        samples.object(None, Vec::new(), ogawa)
     };
     write_archive(&[], &Times::Frames { times: FRAMES.into(), fps: 24.0 }, mesh, &mut bytes)
         .expect("written");

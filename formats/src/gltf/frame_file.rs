@@ -29,6 +29,13 @@ pub(crate) const NORMAL: &str = "NORMAL";
 pub(crate) const VELOCITY: &str = "_VELOCITY";
 pub(crate) const ACCELERATION: &str = "_ACCELERATION";
 pub(crate) const COLOR: &str = "COLOR_0";
+pub(crate) const TEXTURE: &str = "TEXCOORD_0";
+
+/// Texture coordinates from the lower left corner of a picture if they are from the upper left corner, as in glTF, and
+/// the reverse.
+pub(crate) fn flipped([u, v]: [f32; 2]) -> [f32; 2] {
+    [u, 1.0 - v]
+}
 
 /// Limit for the JSON text of a frame, in bytes.
 const JSON_BYTES_MAX: u64 = 64 << 20;
@@ -390,7 +397,8 @@ fn shifted(position: [f32; 3], shift: [f64; 3]) -> [f32; 3] {
 
 impl GlbFrame {
     /// Reads a vertex attribute, whose numbers replace the `values`. Returns how many each vertex has; `None`
-    /// if the vertices do not have the attribute. Positions are shifted.
+    /// if the vertices do not have the attribute. Positions are shifted, and texture coordinates are from the lower left
+    /// corner.
     pub(crate) fn read_attribute(
         &self,
         semantic: &str,
@@ -403,6 +411,9 @@ impl GlbFrame {
         self.read_column(&column, file, values)?;
         if semantic == POSITION {
             values.as_chunks_mut().0.iter_mut().for_each(|position| *position = shifted(*position, shift));
+        }
+        if semantic == TEXTURE && column.arity == 2 {
+            values.as_chunks_mut().0.iter_mut().for_each(|row| *row = flipped(*row));
         }
         Ok(Some(column.arity))
     }

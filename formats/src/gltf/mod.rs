@@ -31,11 +31,12 @@ pub use crate::options::UpAxis;
 pub use crate::row::ReadExternal;
 pub use frame_file::GlbFrame;
 pub(crate) use frame_file::{
-    ACCELERATION, COLOR, NORMAL, POSITION, SequencePlacement, SharedAttribute, VELOCITY, shared_attributes,
+    ACCELERATION, COLOR, NORMAL, POSITION, SequencePlacement, SharedAttribute, TEXTURE, VELOCITY, flipped,
+    shared_attributes,
 };
 pub use read::{ExternalFile, external_files, read_mesh, read_mesh_with_external};
 pub use sequence::{SEQUENCE_FRAMES, SequenceFrame, SequenceInfo, read_sequence_info, write_sequence};
-pub(crate) use write::{ACCELERATION_NAME, COLOR_NAME, PlacedMesh};
+pub(crate) use write::{ACCELERATION_NAME, COLOR_NAME, PlacedMesh, PlacedSeams};
 pub use write::{attribute_notes, write_glb, write_gltf};
 
 use crate::data::{AttributeRole, FileAttribute, MeshData, Values};
@@ -215,7 +216,8 @@ impl<'de> Visitor<'de> for AssetOf<'_> {
 // Reads the vertex attributes of a glTF file, except positions and normals.
 
 /// Reads the attributes of all meshes, with their names in the file, except positions and normals. Joins the
-/// values of several primitives if their attributes have the same name and type. Does not normalize integers.
+/// values of several primitives if their attributes have the same name and type. Does not normalize integers. Texture
+/// coordinates are from the lower left corner of a picture, and in the file from the upper left one.
 ///
 /// # Errors
 ///
@@ -234,7 +236,10 @@ pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribut
         let left = bytes.and_then(|bytes| budget.checked_sub(bytes));
         budget =
             left.ok_or_else(|| Error::too_large(FORMAT, "the attributes take more memory than the limit"))?;
-        let values = values_of(&buffers, &accessor)?;
+        let mut values = values_of(&buffers, &accessor)?;
+        if let (Semantic::TexCoords(_), 2, Values::F32(values)) = (&semantic, arity, &mut values) {
+            values.as_chunks_mut().0.iter_mut().for_each(|row| *row = flipped(*row));
+        }
         let name = semantic.to_string();
         let is_it = |other: &&mut FileAttribute| other.name == name && other.arity == arity;
         match found.iter_mut().find(is_it).map(|other| (&mut other.values, &values)) {
@@ -275,6 +280,7 @@ fn role_of(name: &str, arity: usize) -> Option<AttributeRole> {
         (COLOR, 3 | 4) => Some(AttributeRole::Color),
         (VELOCITY, 3) => Some(AttributeRole::Velocity),
         (ACCELERATION, 3) => Some(AttributeRole::Acceleration),
+        (TEXTURE, 2) => Some(AttributeRole::TextureCoordinates),
         _ => None,
     }
 }

@@ -10,14 +10,16 @@ use base64::write::EncoderWriter;
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
-use super::frame_file::{ACCELERATION, COLOR, VELOCITY};
+use super::frame_file::{ACCELERATION, COLOR, TEXTURE, VELOCITY, flipped};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
-use crate::data::{FileAttribute, MeshView, Provenance, VertexAttribute, VertexValues, bounds_of};
+use crate::data::{
+    FileAttribute, MeshView, Provenance, Seams, Values, VertexAttribute, VertexValues, bounds_of,
+};
 use crate::error::{Error, Position, Result};
 use crate::number::{write_f32s, write_pieces};
 use crate::options::{MeshOptions, UpAxis};
 use crate::provenance::GENERATOR;
-use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, string_index};
+use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, split_at_seams, string_index};
 
 /// Writes a `.glb` file. A mesh without triangles becomes an empty scene.
 ///
@@ -32,6 +34,15 @@ pub fn write_glb(
     out: &mut dyn Write,
 ) -> Result<()> {
     mesh.check(FORMAT)?;
+    split_at_seams(mesh, |mesh| write_split_glb(mesh, options, provenance, out))
+}
+
+fn write_split_glb(
+    mesh: &MeshView,
+    options: &MeshOptions,
+    provenance: &Provenance,
+    out: &mut dyn Write,
+) -> Result<()> {
     let layout = BufferLayout::of(mesh);
     let mut json = to_json(&Document::new(mesh, &layout, options, provenance, None))?;
     json.resize(json.len().next_multiple_of(4), b' ');
@@ -66,8 +77,17 @@ pub fn write_gltf(
     provenance: &Provenance,
     out: &mut dyn Write,
 ) -> Result<()> {
-    const URI: &str = "data:application/octet-stream;base64,";
     mesh.check(FORMAT)?;
+    split_at_seams(mesh, |mesh| write_split_gltf(mesh, options, provenance, out))
+}
+
+fn write_split_gltf(
+    mesh: &MeshView,
+    options: &MeshOptions,
+    provenance: &Provenance,
+    out: &mut dyn Write,
+) -> Result<()> {
+    const URI: &str = "data:application/octet-stream;base64,";
     let layout = BufferLayout::of(mesh);
     if u32::try_from(layout.byte_count()).is_err() {
         return Err(too_large(mesh));
@@ -109,6 +129,32 @@ pub(crate) struct PlacedMesh {
     pub(crate) triangles: Vec<[u32; 3]>,
     pub(crate) origin: [f64; 3],
     pub(crate) attributes: Vec<FileAttribute>,
+    pub(crate) seams: Option<PlacedSeams>,
+}
+
+/// The seams of a mesh of one frame.
+pub(crate) struct PlacedSeams {
+    /// Index of the attribute that has them.
+    pub(crate) attribute: usize,
+    /// As in [`Seams`].
+    pub(crate) values: Vec<[f32; 2]>,
+    pub(crate) triangles: Vec<[u32; 3]>,
+}
+
+impl PlacedSeams {
+    /// Separates the values of all rows from those of the vertices, which the last attribute keeps. `triangles` has the rows
+    /// of the corners of the triangles. `None` if no corner differs from its vertex.
+    pub(crate) fn of(
+        attributes: &mut [FileAttribute],
+        vertex_count: usize,
+        triangles: Vec<[u32; 3]>,
+    ) -> Option<PlacedSeams> {
+        let attribute = attributes.len().checked_sub(1)?;
+        let Values::F32(values) = &mut attributes[attribute].values else { return None };
+        let rows = values.as_chunks().0.to_vec();
+        values.truncate(2 * vertex_count);
+        (rows.len() > vertex_count).then_some(PlacedSeams { attribute, values: rows, triangles })
+    }
 }
 
 impl PlacedMesh {
@@ -120,7 +166,13 @@ impl PlacedMesh {
         provenance: &Provenance,
         byte_count: usize,
     ) -> Result<(Vec<u8>, Vec<String>)> {
-        let views: Vec<VertexAttribute> = self.attributes.iter().filter_map(FileAttribute::view).collect();
+        let seams = self.seams.as_ref();
+        let mut views: Vec<VertexAttribute> = Vec::new();
+        for (index, attribute) in self.attributes.iter().enumerate() {
+            let seams = seams.filter(|seams| seams.attribute == index);
+            let seams = seams.map(|PlacedSeams { values, triangles, .. }| Seams { values, triangles });
+            views.extend(attribute.view().map(|view| VertexAttribute { seams, ..view }));
+        }
         let mesh = MeshView {
             positions: self.positions.as_chunks().0,
             normals: self.normals.as_chunks().0,
@@ -453,6 +505,8 @@ const TARGET_INDICES: u32 = 34963;
 //   colour     COLOR_0      three or four floats, linear according to the specification
 //   velocity   _VELOCITY    three floats, in the axes of the positions
 //   acceleration  _ACCELERATION, likewise
+//   texture coordinates  TEXCOORD_0  two floats: v is 1 − v, because the origin of a picture is its upper left
+//              corner. Vertices are split at seams.
 //   others     _NAME        one to four floats; integers of up to 24 bits are exact
 //   strings    _NAME        an index into the list `extras.strings._NAME` of the mesh; −1 for none
 //
@@ -510,6 +564,7 @@ fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>)
             Purpose::Color(_) => (COLOR.into(), COLOR.into()),
             Purpose::Velocity => (VELOCITY.into(), VELOCITY.into()),
             Purpose::Acceleration => (ACCELERATION.into(), ACCELERATION.into()),
+            Purpose::Texture => (TEXTURE.into(), TEXTURE.into()),
             Purpose::Other => (format!("_{}", plain_name(name)), format!("_{name}")),
         };
         let semantic = used.take(&stem.to_ascii_uppercase());
@@ -523,9 +578,10 @@ fn assign_names<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>)
     placed
 }
 
-/// The usual names of colours and accelerations.
+/// The usual names of colours, accelerations and texture coordinates.
 pub(crate) const COLOR_NAME: &str = "Cd";
 pub(crate) const ACCELERATION_NAME: &str = "acceleration";
+pub(crate) const TEXTURE_NAME: &str = "uv";
 
 /// The name of most attributes with this glTF name: glTF names start with an underscore and are in upper
 /// case.
@@ -533,6 +589,7 @@ pub(super) fn usual_name(semantic: &str) -> String {
     match semantic {
         COLOR => COLOR_NAME.to_owned(),
         ACCELERATION => ACCELERATION_NAME.to_owned(),
+        TEXTURE => TEXTURE_NAME.to_owned(),
         _ => semantic.strip_prefix('_').unwrap_or(semantic).to_ascii_lowercase(),
     }
 }
@@ -560,6 +617,13 @@ impl<'a> GltfAttribute<'a> {
 
     pub(super) fn write(&self, out: &mut dyn Write) -> Result<()> {
         match self.values {
+            VertexValues::Numbers(values) if self.semantic == TEXTURE => {
+                let bytes_of = |row: [f32; 2]| {
+                    let [[a, b, c, d], [e, f, g, h]] = flipped(row).map(f32::to_le_bytes);
+                    [a, b, c, d, e, f, g, h]
+                };
+                write_pieces(values.as_chunks().0, bytes_of, out)
+            }
             VertexValues::Numbers(values) => write_f32s(values, out),
             VertexValues::Integers(values) => write_pieces(values, |value| (value as f32).to_le_bytes(), out),
             VertexValues::Strings { table, indices } => {

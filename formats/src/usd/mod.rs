@@ -22,7 +22,7 @@ mod tests;
 use crate::data::{MeshView, VertexAttribute, VertexValues, bounds_of};
 use crate::narrow_points::NarrowPoints;
 use crate::provenance::are_points;
-use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
+use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, texture_of};
 
 pub(crate) use sequence::{SequenceAttribute, UsdSequence};
 
@@ -147,16 +147,17 @@ pub(crate) struct MeshProperty<'a> {
     pub(crate) kind: String,
     pub(crate) name: String,
     pub(crate) value: PropertyValue<'a>,
-    /// Whether its interpolation is `vertex`.
-    pub(crate) has_vertex_interpolation: bool,
+    /// Its interpolation, if it needs one.
+    pub(crate) interpolation: Option<&'static str>,
     /// Number of elements of the array per vertex.
     pub(crate) element_size: usize,
 }
 
-/// Whether the property with this name needs the interpolation `vertex`: the schema has it for points,
-/// velocities and accelerations, and other properties than those of [`properties_of`] have none.
-fn has_vertex_interpolation(name: &str) -> bool {
-    name == "normals" || name.starts_with("primvars:") && !name.ends_with(INDICES)
+/// The interpolation that the property with this name needs: the schema has it for points, velocities and accelerations,
+/// and other properties than those of [`properties_of`] have none.
+fn interpolation(name: &str) -> Option<&'static str> {
+    let is_per_vertex = name == "normals" || name.starts_with("primvars:") && !name.ends_with(INDICES);
+    is_per_vertex.then_some("vertex")
 }
 
 /// The value of a property.
@@ -179,7 +180,7 @@ impl<'a> MeshProperty<'a> {
             kind: kind.to_owned(),
             name: name.to_owned(),
             value,
-            has_vertex_interpolation: has_vertex_interpolation(name),
+            interpolation: interpolation(name),
             element_size: 1,
         }
     }
@@ -211,7 +212,10 @@ pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool], is_clip: bo
         MeshProperty::array("point3f[]", "points", Elements::reals(mesh.positions.as_flattened(), 3)),
     ]);
     for (attribute, property) in mesh.attributes.iter().zip(usd_properties(mesh.attributes)) {
-        found.extend(properties_of(attribute, &property));
+        match (&property, texture_of(mesh)) {
+            (UsdProperty::Texture(name), Some(texture)) => found.extend(of_texture(name, texture, quads)),
+            _ => found.extend(properties_of(attribute, &property)),
+        }
     }
     found.push(MeshProperty::new("token", "subdivisionScheme", PropertyValue::Token("none")));
     found.extend(translation(mesh.origin, is_clip));
@@ -258,8 +262,13 @@ enum UsdProperty {
     Velocities,
     Accelerations,
     Color,
+    Texture(String),
     Primvar(String),
 }
+
+/// The usual name of texture coordinates, and their type.
+pub(crate) const TEXTURE: &str = "st";
+pub(crate) const TEXTURE_KIND: &str = "texCoord2f[]";
 
 /// Names of primvars that have a meaning for renderers, so other attributes cannot have them.
 const RESERVED: [&str; 3] = ["displayColor", "displayOpacity", "normals"];
@@ -274,6 +283,7 @@ fn usd_properties(attributes: &[VertexAttribute]) -> Vec<UsdProperty> {
         Purpose::Velocity => UsdProperty::Velocities,
         Purpose::Acceleration => UsdProperty::Accelerations,
         Purpose::Color(_) => UsdProperty::Color,
+        Purpose::Texture => UsdProperty::Texture(used.take(TEXTURE)),
         Purpose::Other => UsdProperty::Primvar(used.take(&identifier(attribute.name))),
     };
     attributes.iter().zip(purposes(attributes)).map(property).collect()
@@ -304,6 +314,7 @@ pub(crate) fn renamed(attributes: &[VertexAttribute], extension: &str) -> Vec<St
 /// ```text
 ///   velocity   velocities, for motion blur     colour     primvars:displayColor, displayOpacity
 ///   acceleration  accelerations, which renderers use together with the velocities
+///   texture coordinates  primvars:st, with a value for each corner of a face: see [`of_texture`]
 ///   floats     primvars:NAME, as vectors if a vertex has two to four values
 ///   integers   the same with the type int; if a value needs 64 bits, scalars of the type int64 instead of
 ///              vectors, of which elementSize says how many belong to a vertex
@@ -346,9 +357,31 @@ fn properties_of<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) ->
             let width = if arity <= TUPLE_MAX { arity } else { 1 };
             vec![primvar(&vector("float", width), name, Elements::reals(values, width), arity / width)]
         }
-        // `purposes` gives these roles only to floats.
-        (UsdProperty::Velocities | UsdProperty::Accelerations | UsdProperty::Color, _) => Vec::new(),
+        // `purposes` gives these roles only to floats, and a mesh has the properties of textures.
+        (
+            UsdProperty::Velocities
+            | UsdProperty::Accelerations
+            | UsdProperty::Color
+            | UsdProperty::Texture(_),
+            _,
+        ) => Vec::new(),
     }
+}
+
+/// The properties of texture coordinates: distinct values, and the index of each corner. A prim has one interpolation for
+/// all frames, so corners have indices even in a frame without seams.
+fn of_texture<'a>(
+    name: &str,
+    (rows, triangles): (&'a [[f32; 2]], &'a [[u32; 3]]),
+    quads: &'a [bool],
+) -> [MeshProperty<'a>; 2] {
+    let name = format!("primvars:{name}");
+    let values = MeshProperty::array(TEXTURE_KIND, &name, Elements::reals(rows.as_flattened(), 2));
+    let indices = Elements::FaceCorners { triangles, quads };
+    [
+        MeshProperty { interpolation: Some("faceVarying"), ..values },
+        MeshProperty::array("int[]", &format!("{name}{INDICES}"), indices),
+    ]
 }
 
 fn vector(kind: &str, width: usize) -> String {

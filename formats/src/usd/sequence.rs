@@ -1,12 +1,13 @@
 //! The frames of a sequence in USD, and the attributes that all of them have.
 
 use super::{
-    ACCELERATIONS, FORMAT, LayerInfo, RESERVED, VELOCITIES, has_vertex_interpolation, identifier, vector,
+    ACCELERATIONS, FORMAT, LayerInfo, RESERVED, TEXTURE, TEXTURE_KIND, VELOCITIES, identifier, interpolation,
+    vector,
 };
 use crate::error::Result;
 use crate::gltf::{
-    ACCELERATION, COLOR, NORMAL, POSITION, SequenceFrame, SequencePlacement, SharedAttribute, VELOCITY,
-    shared_attributes,
+    ACCELERATION, COLOR, NORMAL, POSITION, SequenceFrame, SequencePlacement, SharedAttribute,
+    TEXTURE as GLTF_TEXTURE, VELOCITY, shared_attributes,
 };
 use crate::sequence::{check_numbers, held_times};
 use crate::vertex_attributes::UsedNames;
@@ -27,15 +28,15 @@ pub(crate) struct SequenceAttribute {
     /// The components to write: the index of the first, and their number.
     pub(crate) first: usize,
     pub(crate) arity: usize,
-    /// Whether its interpolation is `vertex`.
-    pub(crate) has_vertex_interpolation: bool,
+    /// Its interpolation, if it needs one.
+    pub(crate) interpolation: Option<&'static str>,
 }
 
 impl SequenceAttribute {
     fn new(semantic: &str, (kind, name): (&str, &str), first: usize, arity: usize) -> SequenceAttribute {
-        let has_vertex_interpolation = has_vertex_interpolation(name);
+        let interpolation = interpolation(name);
         let [semantic, kind, name] = [semantic, kind, name].map(str::to_owned);
-        SequenceAttribute { semantic, kind, name, first, arity, has_vertex_interpolation }
+        SequenceAttribute { semantic, kind, name, first, arity, interpolation }
     }
 }
 
@@ -78,6 +79,10 @@ impl<'a> UsdSequence<'a> {
                     found.push(attribute(("color3f[]", "primvars:displayColor"), 0, 3));
                     let opacity = attribute(("float[]", "primvars:displayOpacity"), 3, 1);
                     found.extend((arity == 4).then_some(opacity));
+                }
+                // The vertices are split at seams, as in the frames.
+                (GLTF_TEXTURE, 2) => {
+                    found.push(attribute((TEXTURE_KIND, &format!("primvars:{}", used.take(TEXTURE))), 0, 2));
                 }
                 _ => {
                     let kind = format!("{}[]", vector("float", arity));

@@ -107,7 +107,7 @@ fn encode_batch(
     let faces = (mesh.triangles.len() - quad_count(&options.quads).min(mesh.triangles.len())) as u64;
     let Some(index) = index.checked_sub(1) else {
         mesh.check(FORMAT)?;
-        check_quads(FORMAT, mesh.triangles, &options.quads)?;
+        check_quads(FORMAT, mesh, &options.quads)?;
         let info = LayerInfo { vertices, faces, frames: None };
         let name = plain_name(&options.name);
         let sampled = sampled_properties(mesh, options);
@@ -189,9 +189,9 @@ struct PropertyText<'a> {
 impl<'a> PropertyText<'a> {
     /// The declaration of a property, with its default.
     fn of(property: &MeshProperty<'a>) -> PropertyText<'a> {
-        let MeshProperty { kind, name, has_vertex_interpolation, element_size, .. } = property;
+        let MeshProperty { kind, name, interpolation, element_size, .. } = property;
         let uniform = if property.is_uniform() { "uniform " } else { "" };
-        let about = about(*has_vertex_interpolation, *element_size);
+        let about = about(*interpolation, *element_size);
         PropertyText::between(format!("        {uniform}{kind} {name} = "), property, format!("{about}\n"))
     }
 
@@ -224,15 +224,13 @@ impl<'a> PropertyText<'a> {
 }
 
 /// The metadata of a property in parentheses, preceded by a space; empty if it has none.
-fn about(has_vertex_interpolation: bool, element_size: usize) -> String {
-    if !has_vertex_interpolation {
-        return String::new();
-    }
+fn about(interpolation: Option<&str>, element_size: usize) -> String {
+    let Some(interpolation) = interpolation else { return String::new() };
     let size = match element_size {
         1 => String::new(),
         size => format!("            elementSize = {size}\n"),
     };
-    format!(" (\n{size}            interpolation = \"vertex\"\n        )")
+    format!(" (\n{size}            interpolation = \"{interpolation}\"\n        )")
 }
 
 fn sections<'a>(mesh: &MeshView<'a>, options: &'a MeshOptions) -> Vec<PropertyText<'a>> {
@@ -337,9 +335,9 @@ pub fn write_sequence<R: Read + Seek>(
     out.write_all(b"        uniform token orientation = \"rightHanded\"\n")?;
     let mut values = Vec::new();
     for attribute in &attributes {
-        let SequenceAttribute { semantic, kind, name, first, arity, has_vertex_interpolation } = attribute;
-        if *has_vertex_interpolation {
-            writeln!(out, "        {kind} {name}{}", about(true, 1))?;
+        let SequenceAttribute { semantic, kind, name, first, arity, interpolation } = attribute;
+        if interpolation.is_some() {
+            writeln!(out, "        {kind} {name}{}", about(*interpolation, 1))?;
         }
         write_samples(&shot, &format!("{kind} {name}"), out, |index| {
             let (frame, shift) = (&frames[index].file, shot.shift(index)?);

@@ -109,7 +109,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
 /// or if two triangles marked as a quad do not form one; [`crate::Error::TooLarge`] beyond 2³¹ vertices.
 fn write(mesh: &MeshView, options: &MeshOptions, provenance: &Provenance, out: &mut dyn Write) -> Result<()> {
     mesh.check(FORMAT)?;
-    check_quads(FORMAT, mesh.triangles, &options.quads)?;
+    check_quads(FORMAT, mesh, &options.quads)?;
     let layer = LayerHead {
         provenance,
         info: Some(LayerInfo {
@@ -220,7 +220,7 @@ fn spec(property: &MeshProperty, value: ValueRep) -> PropertySpec {
         name: property.name.clone(),
         value: if property.is_uniform() { SpecValue::Always(value) } else { SpecValue::Frame(value) },
         is_uniform: property.is_uniform(),
-        has_vertex_interpolation: property.has_vertex_interpolation,
+        interpolation: property.interpolation,
         element_size: property.element_size,
     }
 }
@@ -341,7 +341,7 @@ struct PropertySpec {
     name: String,
     value: SpecValue,
     is_uniform: bool,
-    has_vertex_interpolation: bool,
+    interpolation: Option<&'static str>,
     element_size: usize,
 }
 
@@ -509,7 +509,7 @@ impl LayerEnd {
     }
 
     fn add_property(&mut self, property: &PropertySpec) -> Result<()> {
-        let PropertySpec { kind, name, value, is_uniform, has_vertex_interpolation, element_size } = property;
+        let PropertySpec { kind, name, value, is_uniform, interpolation, element_size } = property;
         let mut fields = vec![
             ("typeName", self.tables.token_value(kind)),
             ("custom", ValueRep::inlined(ValueType::Bool, 0)),
@@ -523,8 +523,8 @@ impl LayerEnd {
             }
             SpecValue::Samples(samples) => fields.push(("timeSamples", self.samples(samples))),
         }
-        if *has_vertex_interpolation {
-            fields.push(("interpolation", self.tables.token_value("vertex")));
+        if let Some(interpolation) = interpolation {
+            fields.push(("interpolation", self.tables.token_value(interpolation)));
         }
         if *element_size != 1 {
             let size = array::index(*element_size)?.cast_unsigned();

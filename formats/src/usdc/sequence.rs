@@ -56,13 +56,8 @@ pub fn write_sequence<R: Read + Seek + Send>(
     let (corners, sizes) = (integers("faceVertexIndices"), integers("faceVertexCounts"));
     specs.extend([sizes, corners]);
     specs.push(word("orientation", "rightHanded", &mut end));
-    for (SequenceAttribute { kind, name, has_vertex_interpolation, .. }, samples) in
-        attributes.iter().zip(samples)
-    {
-        specs.push(PropertySpec {
-            has_vertex_interpolation: *has_vertex_interpolation,
-            ..sampled(kind, name, samples)
-        });
+    for (SequenceAttribute { kind, name, interpolation, .. }, samples) in attributes.iter().zip(samples) {
+        specs.push(PropertySpec { interpolation: *interpolation, ..sampled(kind, name, samples) });
     }
     specs.push(word("subdivisionScheme", "none", &mut end));
     if let Some(origin) = shot.origin() {
@@ -229,7 +224,7 @@ fn sampled(kind: &str, name: &str, samples: Vec<(f64, ValueRep)>) -> PropertySpe
         name: name.to_owned(),
         value: SpecValue::Samples(samples),
         is_uniform: false,
-        has_vertex_interpolation: false,
+        interpolation: None,
         element_size: 1,
     }
 }

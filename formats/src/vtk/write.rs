@@ -12,7 +12,7 @@
 //!     <AppendedData encoding="raw"> _ [bytes] data  [bytes] data ..
 //! ```
 //!
-//! Attributes have their own names. Those of particles have their own types; integers of a mesh have 32 bits
+//! Attributes have their own names. Vertices are split at the seams of texture coordinates. Those of particles have their own types; integers of a mesh have 32 bits
 //! if all fit, else 64. Positions of a mesh are 64-bit floats if it has an origin other than zero. Each
 //! particle is also a cell, so that ParaView displays it. Axes are not converted, because VTK has no notion of
 //! up. VTK's XML files store strings as the decimal codes of their bytes, with a zero after each string.
@@ -25,7 +25,10 @@ use crate::data::{FilePositions, MeshView, ParticleFrame, Provenance, Values, Ve
 use crate::error::Result;
 use crate::options::MeshOptions;
 use crate::provenance::{GENERATOR, prefixed};
-use crate::vertex_attributes::{StoredNumbers, UsedNames, check, check_quads, faces, quad_count, written};
+use crate::vertex_attributes::{
+    Purpose, StoredNumbers, UsedNames, check, check_quads, faces, purposes, quad_count, split_at_seams,
+    written,
+};
 
 /// Writes positions, normals, attributes and faces.
 ///
@@ -39,13 +42,21 @@ pub fn write_mesh(
     provenance: &Provenance,
     out: &mut dyn Write,
 ) -> Result<()> {
-    let (MeshView { positions, normals, triangles, origin, attributes }, quads) = (*mesh, &options.quads);
     mesh.check(XML)?;
-    check_quads(XML, triangles, quads)?;
+    check_quads(XML, mesh, &options.quads)?;
+    split_at_seams(mesh, |mesh| write_split(mesh, &options.quads, provenance, out))
+}
+
+fn write_split(mesh: &MeshView, quads: &[bool], provenance: &Provenance, out: &mut dyn Write) -> Result<()> {
+    let MeshView { positions, normals, triangles, origin, attributes } = *mesh;
     let mut of_points = vec![Array::stored(NORMALS, 3, StoredNumbers::F32(normals.as_flattened()))];
     for (attribute, name) in attributes.iter().zip(names_in_file(attributes)) {
         of_points.push(Array::stored(name, attribute.arity, StoredNumbers::of_vertices(attribute.values)));
     }
+    let texture = purposes(attributes).iter().position(|purpose| *purpose == Purpose::Texture);
+    // The array of normals is before those of the attributes.
+    let texture =
+        texture.map_or_else(String::new, |at| format!(" TCoords=\"{}\"", escaped(&of_points[at + 1].name)));
     // Every quad joins two triangles with six corners into one face with four.
     let quad_count = quad_count(quads);
     let (face_count, corner_count) = (triangles.len() - quad_count, 3 * triangles.len() - 2 * quad_count);
@@ -53,7 +64,7 @@ pub fn write_mesh(
     let is_wide = i32::try_from(corner_count.max(positions.len())).is_err();
     let of_faces = |what, count| ArrayNumbers::Faces { what, count, triangles, quads, is_wide };
     VtpDocument {
-        normals: " Normals=\"Normals\"",
+        about_points: format!(" Normals=\"Normals\"{texture}"),
         of_points,
         point_count: positions.len(),
         points: match origin {
@@ -97,7 +108,7 @@ pub fn write_particles(frame: &ParticleFrame, provenance: &Provenance, out: &mut
         of_points.push(Array::stored(name, attribute.arity, StoredNumbers::of_particles(values)));
     }
     VtpDocument {
-        normals: "",
+        about_points: String::new(),
         of_points,
         point_count,
         points: ArrayNumbers::Stored(match &frame.positions {
@@ -140,8 +151,8 @@ pub(crate) fn ends_as_written(tail: &[u8]) -> bool {
 
 /// The content of a file.
 struct VtpDocument<'a> {
-    /// The XML attribute that names the array with normals, if any.
-    normals: &'static str,
+    /// The XML attributes that name the arrays with normals and texture coordinates.
+    about_points: String,
     /// Arrays with values for each point.
     of_points: Vec<Array<'a>>,
     point_count: usize,
@@ -181,7 +192,7 @@ impl VtpDocument<'_> {
         );
         let (mut offset, mut rest) = (0, &arrays[..]);
         for (section, about, count) in
-            [("PointData", self.normals, of_points), ("Points", "", 1), (self.cells, "", 2)]
+            [("PointData", &*self.about_points, of_points), ("Points", "", 1), (self.cells, "", 2)]
         {
             let (of_section, others) = rest.split_at(count);
             rest = others;

@@ -187,6 +187,7 @@ fn role_name(role: AttributeRole) -> &'static str {
         AttributeRole::Mass => "mass",
         AttributeRole::Id => "id",
         AttributeRole::Kind => "kind",
+        AttributeRole::TextureCoordinates => "texture coordinates",
     }
 }
 

@@ -313,6 +313,7 @@ pub(super) fn attribute(attribute: FileAttribute) -> Attribute {
         Some(AttributeRole::Radius) => Role::Radius,
         Some(AttributeRole::Id) => Role::Id,
         None if is_rest => Role::Rest,
+        Some(AttributeRole::TextureCoordinates) => Role::TextureCoordinates,
         Some(AttributeRole::Normal | AttributeRole::Density | AttributeRole::Mass | AttributeRole::Kind)
         | None => Role::Other,
     };

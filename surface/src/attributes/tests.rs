@@ -26,7 +26,8 @@ fn transferred_to_vertices(
     support: Support,
 ) -> (Vec<Attribute>, TransferCounts) {
     let attributes: Vec<&Attribute> = attributes.iter().collect();
-    to_vertices_of(particles, &attributes, mesh, support)
+    let (found, _, counts) = to_vertices_of(particles, &attributes, mesh, support);
+    (found, counts)
 }
 
 fn random(state: &mut u32) -> f64 {

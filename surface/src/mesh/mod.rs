@@ -306,7 +306,7 @@ impl Mesh {
 }
 
 /// True if two consecutive triangles are halves of a quad.
-fn are_halves(one: [u32; 3], other: [u32; 3]) -> bool {
+pub(crate) fn are_halves(one: [u32; 3], other: [u32; 3]) -> bool {
     let [a, b, c] = one;
     let from_diagonal = other[0] == c && other[2] == a;
     let is_reversed = other[0] == b && other[1] == a;

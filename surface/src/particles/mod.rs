@@ -465,6 +465,9 @@ pub enum Role {
     Id,
     /// A position in another frame, in world units, arity 3.
     Rest,
+    /// A place in a picture, arity 2 or 3, of which the third is not used. The places of particles near each other may be
+    /// on different charts: see [`Seams`](crate::attributes::Seams).
+    TextureCoordinates,
     /// Anything else.
     Other,
 }
@@ -548,7 +551,9 @@ impl Role {
         match self {
             Role::Velocity => velocity_scale,
             Role::Acceleration => velocity_scale * velocity_scale,
-            Role::Color | Role::Radius | Role::Id | Role::Rest | Role::Other => 1.0,
+            Role::Color | Role::Radius | Role::Id | Role::Rest | Role::TextureCoordinates | Role::Other => {
+                1.0
+            }
         }
     }
 
@@ -560,6 +565,7 @@ impl Role {
             Role::Color => &["color", "colour", "colors", "colours", "cd", "rgb", "rgba", "displaycolor"],
             Role::Radius => &["radius", "pscale"],
             Role::Id => &["id"],
+            Role::TextureCoordinates => &["uv", "st"],
             Role::Rest | Role::Other => &[],
         }
     }

@@ -26,11 +26,12 @@ pub use spray::ApartParticles;
 pub use staged::{StageError, StagedFrame, TileStorage};
 
 use crate::attributes::{
-    BandAttribute, ComputedAttribute, Support, interpolate_to_band, interpolate_to_vertices, radius_world,
+    BandAttribute, ComputedAttribute, Seams, Support, interpolate_to_band, interpolate_to_vertices,
+    radius_world,
 };
 use crate::grid::Leaf;
 use crate::level_set::{NarrowBand, offset_reach_voxels};
-use crate::mesh::{Mesh, PositionRounding};
+use crate::mesh::{Mesh, PositionRounding, are_halves};
 use crate::obstacle::Obstacles;
 use crate::options::Settings;
 use crate::particles::{
@@ -67,6 +68,18 @@ impl FrameSurface {
         self.report.spray = spray.as_ref().map(Spray::counts);
         self.spray = spray;
         self
+    }
+
+    /// For each triangle, true if it and the next one are the halves of a [quad](Mesh::quads) and have the same chart of
+    /// texture coordinates.
+    pub fn quads(&self) -> Vec<bool> {
+        let mut quads = self.mesh.quads();
+        if let Some(Seams { triangles, .. }) = &self.attributes.seams {
+            for (quad, pair) in quads.iter_mut().zip(triangles.windows(2)) {
+                *quad &= are_halves(pair[0], pair[1]);
+            }
+        }
+        quads
     }
 
     /// Memory used, in bytes.
@@ -243,6 +256,8 @@ const TOPOLOGY_LEAF_BYTES: usize = 80;
 pub struct SurfaceAttributes {
     /// Attributes of the mesh's vertices.
     pub vertices: Vec<Attribute>,
+    /// Where the charts of texture coordinates meet; `None` if they do not.
+    pub seams: Option<Seams>,
     /// Attributes at the voxels of the band, limited to those a grid can store: a scalar or a 3-vector.
     pub band: Vec<BandAttribute>,
 }
@@ -266,7 +281,8 @@ impl SurfaceAttributes {
     /// Memory that the attributes use, in bytes.
     pub fn size_bytes(&self) -> usize {
         let vertices: usize = self.vertices.iter().map(|attribute| attribute.values.size_bytes()).sum();
-        vertices + self.band.iter().map(BandAttribute::size_bytes).sum::<usize>()
+        let seams = self.seams.as_ref().map_or(0, Seams::size_bytes);
+        vertices + seams + self.band.iter().map(BandAttribute::size_bytes).sum::<usize>()
     }
 
     /// Upper limit of the additional memory while grids are compressed, in bytes.
@@ -285,7 +301,7 @@ pub struct Targets {
 }
 
 /// Transfers the attributes selected in the settings from particles to the surface. `unsmoothed` are their positions before
-/// smoothing, which rest coordinates need.
+/// smoothing, if the attributes [need](crate::attributes::needs_unsmoothed) them.
 pub fn transfer_attributes(
     surface: &mut FrameSurface,
     (positions, unsmoothed): (Positions<'_>, Option<&OwnedPositions>),
@@ -297,8 +313,9 @@ pub fn transfer_attributes(
     if !settings.has_attributes() {
         return;
     }
-    let selected: Vec<&Attribute> =
-        attributes.iter().filter(|attribute| settings.selects(attribute)).collect();
+    let selected: Vec<Cow<Attribute>> =
+        attributes.iter().filter(|attribute| settings.selects(attribute)).map(without_depth).collect();
+    let selected: Vec<&Attribute> = selected.iter().map(Cow::as_ref).collect();
     let support = support(settings, shapes, unsmoothed);
     let curvature = ComputedAttribute::NormalCurvature;
     let has_curvature = curvature.is_wanted(settings.attributes.as_ref(), attributes);
@@ -311,9 +328,9 @@ pub fn transfer_attributes(
         ..TransferReport::default()
     };
     if targets.vertices {
-        let (vertices, counts) =
+        let (vertices, seams, counts) =
             interpolate_to_vertices(positions.borrowed(), &selected, &surface.mesh, support);
-        (surface.attributes.vertices, report.vertices) = (vertices, counts);
+        (surface.attributes.vertices, surface.attributes.seams, report.vertices) = (vertices, seams, counts);
         if has_curvature {
             surface.attributes.vertices.push(curvature.with_values(surface.mesh.curvatures()));
         }
@@ -351,6 +368,20 @@ fn support<'a>(
 
 /// Vertices are rarely farther than this outside the union of the r_max spheres, in voxels.
 const MARGIN_VOXELS: f64 = 2.0;
+
+/// The attribute; texture coordinates without their third number, which has no meaning for pictures.
+fn without_depth(attribute: &Attribute) -> Cow<'_, Attribute> {
+    match &attribute.values {
+        AttributeValues::Numbers(values)
+            if (attribute.role, attribute.arity) == (Role::TextureCoordinates, 3) =>
+        {
+            let flat = values.chunks_exact(3).flat_map(|all| &all[..2]).copied().collect();
+            let (name, role) = (attribute.name.clone(), attribute.role);
+            Cow::Owned(Attribute { name, role, arity: 2, values: AttributeValues::Numbers(flat) })
+        }
+        _ => Cow::Borrowed(attribute),
+    }
+}
 
 /// The part of an attribute that a grid can store, if any: a color loses its alpha channel.
 fn of_grid(attribute: &Attribute) -> Option<Cow<'_, Attribute>> {
