@@ -100,7 +100,7 @@ fn encode_batch(
 
 /// The number of tasks for positions, texture coordinates, normals and triangles.
 fn task_counts(mesh: &MeshView) -> [usize; 4] {
-    let texture = texture_of(mesh).map_or(0, |(rows, _)| rows.len());
+    let texture = texture_of(mesh).map_or(0, |texture| texture.values.len());
     [mesh.positions.len(), texture, mesh.normals.len(), mesh.triangles.len()]
         .map(|count| count.div_ceil(ELEMENTS_PER_TASK))
 }
@@ -110,13 +110,13 @@ fn text_of(mesh: &MeshView, quads: &[bool], task: usize) -> Vec<u8> {
     let [position_tasks, texture_tasks, normal_tasks, _] = task_counts(mesh);
     let texture = texture_of(mesh);
     if let Some(task) = task.checked_sub(position_tasks + texture_tasks + normal_tasks) {
-        return faces_of(mesh.triangles, texture.map(|(_, triangles)| triangles), quads, task);
+        return faces_of(mesh.triangles, texture.map(|texture| texture.triangles), quads, task);
     }
     if let Some(task) = task.checked_sub(position_tasks + texture_tasks) {
         return lines_of(run_of(mesh.normals, task), |line, normal| line.reals("vn", *normal));
     }
-    if let (Some(task), Some((rows, _))) = (task.checked_sub(position_tasks), texture) {
-        return lines_of(run_of(rows, task), |line, row| line.reals("vt", *row));
+    if let (Some(task), Some(texture)) = (task.checked_sub(position_tasks), texture) {
+        return lines_of(run_of(texture.values, task), |line, row| line.reals("vt", *row));
     }
     let positions = run_of(mesh.positions, task);
     let Some(color) = colors_of(mesh) else {

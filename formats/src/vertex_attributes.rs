@@ -51,14 +51,15 @@ pub(crate) fn purposes<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<Purpose<'a
     found
 }
 
-/// The rows of texture coordinates, two numbers each, and those of the corners of each triangle; `None` without texture
-/// coordinates.
-pub(crate) fn texture_of<'a>(mesh: &MeshView<'a>) -> Option<(&'a [[f32; 2]], &'a [[u32; 3]])> {
+/// The texture coordinates of all corners; `None` without texture coordinates.
+pub(crate) fn texture_of<'a>(mesh: &MeshView<'a>) -> Option<Seams<'a>> {
     let found = purposes(mesh.attributes).into_iter().position(|purpose| purpose == Purpose::Texture)?;
     let VertexAttribute { values, seams, .. } = mesh.attributes[found];
     match (seams, values) {
-        (Some(Seams { values, triangles }), _) => Some((values, triangles)),
-        (None, VertexValues::Numbers(values)) => Some((values.as_chunks().0, mesh.triangles)),
+        (Some(seams), _) => Some(seams),
+        (None, VertexValues::Numbers(values)) => {
+            Some(Seams { values: values.as_chunks().0, triangles: mesh.triangles })
+        }
         (None, _) => None,
     }
 }

@@ -27,7 +27,8 @@ pub use read::{read_mesh, read_sample, read_sequence_info, read_times};
 
 use crate::columns::role_of;
 use crate::data::{
-    AttributeRole, FileAttribute, MeshView, ParticleFrame, Provenance, Values, VertexAttribute, VertexValues,
+    AttributeRole, FileAttribute, MeshView, ParticleFrame, Provenance, Seams, Values, VertexAttribute,
+    VertexValues,
 };
 use crate::error::{Error, Position, Result};
 use crate::gltf::{
@@ -158,13 +159,13 @@ fn object(mesh: &MeshView, options: &MeshOptions, names: &[String], ogawa: &mut 
 
 /// The texture coordinates: distinct values, and the index of each corner of a face.
 fn texture_property(
-    (rows, triangles): (&[[f32; 2]], &[[u32; 3]]),
+    Seams { values, triangles }: Seams,
     quads: &[bool],
     ogawa: &mut Ogawa,
 ) -> Result<AbcProperty> {
     let kind = ParamType::numbers(2);
     let metadata = kind.metadata_in("fvr");
-    let values = real_sample(rows.as_flattened(), (rows.len() as u64, 2), ogawa)?;
+    let values = real_sample(values.as_flattened(), (values.len() as u64, 2), ogawa)?;
     let [indices, _] = face_samples(triangles, quads, ogawa)?;
     let parts = vec![
         AbcProperty::array(".vals", &metadata, (kind.pod, kind.extent), vec![values]),

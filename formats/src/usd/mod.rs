@@ -19,7 +19,7 @@ mod sequence;
 #[cfg(test)]
 mod tests;
 
-use crate::data::{MeshView, VertexAttribute, VertexValues, bounds_of};
+use crate::data::{MeshView, Seams, VertexAttribute, VertexValues, bounds_of};
 use crate::narrow_points::NarrowPoints;
 use crate::provenance::are_points;
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, texture_of};
@@ -372,11 +372,11 @@ fn properties_of<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) ->
 /// all frames, so corners have indices even in a frame without seams.
 fn of_texture<'a>(
     name: &str,
-    (rows, triangles): (&'a [[f32; 2]], &'a [[u32; 3]]),
+    Seams { values, triangles }: Seams<'a>,
     quads: &'a [bool],
 ) -> [MeshProperty<'a>; 2] {
     let name = format!("primvars:{name}");
-    let values = MeshProperty::array(TEXTURE_KIND, &name, Elements::reals(rows.as_flattened(), 2));
+    let values = MeshProperty::array(TEXTURE_KIND, &name, Elements::reals(values.as_flattened(), 2));
     let indices = Elements::FaceCorners { triangles, quads };
     [
         MeshProperty { interpolation: Some("faceVarying"), ..values },

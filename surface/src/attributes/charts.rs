@@ -241,6 +241,16 @@ enum OtherChart {
     Far(u32),
 }
 
+/// A corner of a triangle with another chart than the first of its vertex.
+#[derive(Clone, Copy)]
+struct SeamCorner {
+    triangle: usize,
+    /// From 0 to 2.
+    corner: usize,
+    /// The vertex, and the chart there.
+    row: (u32, OtherChart),
+}
+
 /// The charts at all vertices.
 struct VertexCharts {
     particles: ChartParticles,
@@ -258,7 +268,7 @@ impl VertexCharts {
         values: &[[f32; 2]],
         attribute: usize,
     ) -> Option<Seams> {
-        let chunks: Vec<Vec<(usize, usize, (u32, OtherChart))>> = mesh
+        let chunks: Vec<Vec<SeamCorner>> = mesh
             .triangles
             .par_chunks(CHUNK)
             .enumerate()
@@ -270,7 +280,11 @@ impl VertexCharts {
                     let Some(owner) = self.owner(triangle, point_of) else { continue };
                     for (corner, &vertex) in triangle.iter().enumerate() {
                         let chart = self.chart_with(vertex, owner, point_of);
-                        found.extend(chart.map(|chart| (index, corner, (vertex, chart))));
+                        found.extend(chart.map(|chart| SeamCorner {
+                            triangle: index,
+                            corner,
+                            row: (vertex, chart),
+                        }));
                     }
                 }
                 found
@@ -280,13 +294,13 @@ impl VertexCharts {
         if corners.is_empty() {
             return None;
         }
-        let mut rows: Vec<(u32, OtherChart)> = corners.iter().map(|(.., row)| *row).collect();
+        let mut rows: Vec<(u32, OtherChart)> = corners.iter().map(|found| found.row).collect();
         rows.sort_unstable();
         rows.dedup();
         // Rows beyond 32 bits do not occur: there are fewer than corners of a mesh whose vertices have such indices.
         let row_of = |row| (values.len() + rows.binary_search(&row).unwrap_or_default()) as u32;
         let mut triangles = mesh.triangles.clone();
-        for (triangle, corner, row) in corners {
+        for SeamCorner { triangle, corner, row } in corners {
             triangles[triangle][corner] = row_of(row);
         }
         let others = rows.iter().map(|&(vertex, chart)| match chart {
