@@ -338,12 +338,12 @@ pub struct VertexAttribute<'a> {
     pub values: VertexValues<'a>,
     /// For [texture coordinates](AttributeRole::TextureCoordinates), the values at corners of triangles that differ from
     /// those of their vertices; `None` without such corners.
-    pub seams: Option<Seams<'a>>,
+    pub seams: Option<SeamsView<'a>>,
 }
 
 /// Texture coordinates of the corners of triangles: a vertex at a seam has other values in some of its triangles.
 #[derive(Clone, Copy, Debug)]
-pub struct Seams<'a> {
+pub struct SeamsView<'a> {
     /// Two finite numbers per row: first the rows of the vertices, then others, each of which belongs to one vertex.
     pub values: &'a [[f32; 2]],
     /// For each triangle of the mesh, the rows of its corners.
@@ -390,7 +390,7 @@ impl<'a> VertexAttribute<'a> {
     }
 }
 
-impl Seams<'_> {
+impl SeamsView<'_> {
     /// Fails unless the attribute has texture coordinates, every corner has a row, that of its vertex or one that follows
     /// those of the vertices, and all values are finite.
     fn check(

@@ -73,7 +73,7 @@ pub use compression::Codec;
 pub use container::{ContainerFile, OpenFurther, Sample};
 pub use data::{
     AttributeRole, BandGrid, ColorPicture, FileAttribute, FilePositions, LeafValues, LevelSetView, MeshData,
-    MeshView, ParticleFrame, PictureCamera, PictureLayer, PictureView, PixelSamples, Provenance, Seams,
+    MeshView, ParticleFrame, PictureCamera, PictureLayer, PictureView, PixelSamples, Provenance, SeamsView,
     Values, VertexAttribute, VertexValues,
 };
 pub use error::{Error, Position, Result};

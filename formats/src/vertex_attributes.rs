@@ -12,7 +12,7 @@ use std::ops::Range;
 
 use crate::columns::radius_scale;
 use crate::data::{
-    AttributeRole, FileAttribute, MeshView, ParticleFrame, Seams, Values, VertexAttribute, VertexValues,
+    AttributeRole, FileAttribute, MeshView, ParticleFrame, SeamsView, Values, VertexAttribute, VertexValues,
 };
 use crate::error::{Error, Position, Result};
 use crate::number::append_bytes;
@@ -52,13 +52,13 @@ pub(crate) fn purposes<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<Purpose<'a
 }
 
 /// The texture coordinates of all corners; `None` without texture coordinates.
-pub(crate) fn texture_of<'a>(mesh: &MeshView<'a>) -> Option<Seams<'a>> {
+pub(crate) fn texture_of<'a>(mesh: &MeshView<'a>) -> Option<SeamsView<'a>> {
     let found = purposes(mesh.attributes).into_iter().position(|purpose| purpose == Purpose::Texture)?;
     let VertexAttribute { values, seams, .. } = mesh.attributes[found];
     match (seams, values) {
         (Some(seams), _) => Some(seams),
         (None, VertexValues::Numbers(values)) => {
-            Some(Seams { values: values.as_chunks().0, triangles: mesh.triangles })
+            Some(SeamsView { values: values.as_chunks().0, triangles: mesh.triangles })
         }
         (None, _) => None,
     }

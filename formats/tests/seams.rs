@@ -4,7 +4,7 @@ use std::io::Cursor;
 
 use meniscus_formats::gltf::GlbFrame;
 use meniscus_formats::{
-    AttributeRole, Content, FileAttribute, Limits, MeshOptions, MeshView, OutputFormat, Seams, Values,
+    AttributeRole, Content, FileAttribute, Limits, MeshOptions, MeshView, OutputFormat, SeamsView, Values,
     VertexAttribute, VertexValues, abc, gltf, is_complete, ply, usdc,
 };
 
@@ -24,7 +24,7 @@ const ROWS: [[f32; 2]; 7] =
 const HEAT: [f32; 5] = [0.5, 1.5, 2.5, 3.5, 4.5];
 
 /// Passes on the mesh, with these seams.
-fn with_mesh<T>(seams: Option<Seams>, run: impl FnOnce(&MeshView) -> T) -> T {
+fn with_mesh<T>(seams: Option<SeamsView>, run: impl FnOnce(&MeshView) -> T) -> T {
     let values = VertexValues::Numbers(ROWS[..5].as_flattened());
     let uv = VertexAttribute {
         name: "uv",
@@ -50,7 +50,7 @@ fn written(format: OutputFormat, quads: &[bool]) -> Vec<u8> {
     let Content::Mesh(writer) = format.content() else { panic!("{format:?} has meshes") };
     let options = MeshOptions { quads: quads.into(), ..MeshOptions::default() };
     let mut bytes = Vec::new();
-    with_mesh(Some(Seams { values: &ROWS, triangles: &CORNERS }), |mesh| {
+    with_mesh(Some(SeamsView { values: &ROWS, triangles: &CORNERS }), |mesh| {
         assert_eq!((writer.attribute_notes)(&mesh.attributes[..1]), [""; 0]);
         writer.write(mesh, &options, &[], &mut bytes).expect("a sound mesh");
     });
@@ -150,7 +150,7 @@ fn ply_and_vtp_have_split_vertices() {
 #[test]
 fn seams_must_match_the_mesh() {
     let fails = |values: &[[f32; 2]], triangles: &[[u32; 3]]| {
-        let written = with_mesh(Some(Seams { values, triangles }), |mesh| {
+        let written = with_mesh(Some(SeamsView { values, triangles }), |mesh| {
             gltf::write_glb(mesh, &MeshOptions::default(), &[], &mut Vec::new())
         });
         assert!(written.expect_err("unsound").to_string().contains("the seams of attribute uv"));
@@ -163,7 +163,7 @@ fn seams_must_match_the_mesh() {
     let triangles = [[0, 1, 2], [0, 5, 3], [6, 4, 5]];
     let options = MeshOptions { quads: [true, false, false].as_slice().into(), ..MeshOptions::default() };
     let Content::Mesh(obj) = OutputFormat::Obj.content() else { panic!("a mesh") };
-    let written = with_mesh(Some(Seams { values: &ROWS, triangles: &triangles }), |mesh| {
+    let written = with_mesh(Some(SeamsView { values: &ROWS, triangles: &triangles }), |mesh| {
         obj.write(mesh, &options, &[], &mut Vec::new())
     });
     assert!(written.expect_err("unsound").to_string().contains("do not form a quad"));

@@ -27,7 +27,7 @@ pub use read::{read_mesh, read_sample, read_sequence_info, read_times};
 
 use crate::columns::role_of;
 use crate::data::{
-    AttributeRole, FileAttribute, MeshView, ParticleFrame, Provenance, Seams, Values, VertexAttribute,
+    AttributeRole, FileAttribute, MeshView, ParticleFrame, Provenance, SeamsView, Values, VertexAttribute,
     VertexValues,
 };
 use crate::error::{Error, Position, Result};
@@ -159,7 +159,7 @@ fn object(mesh: &MeshView, options: &MeshOptions, names: &[String], ogawa: &mut 
 
 /// The texture coordinates: distinct values, and the index of each corner of a face.
 fn texture_property(
-    Seams { values, triangles }: Seams,
+    SeamsView { values, triangles }: SeamsView,
     quads: &[bool],
     ogawa: &mut Ogawa,
 ) -> Result<AbcProperty> {

@@ -13,7 +13,7 @@ use serde::{Serialize, Serializer};
 use super::frame_file::{ACCELERATION, COLOR, TEXTURE, VELOCITY, flipped};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
 use crate::data::{
-    FileAttribute, MeshView, Provenance, Seams, Values, VertexAttribute, VertexValues, bounds_of,
+    FileAttribute, MeshView, Provenance, SeamsView, Values, VertexAttribute, VertexValues, bounds_of,
 };
 use crate::error::{Error, Position, Result};
 use crate::number::{write_f32s, write_pieces};
@@ -136,7 +136,7 @@ pub(crate) struct PlacedMesh {
 pub(crate) struct PlacedSeams {
     /// Index of the attribute that has them.
     pub(crate) attribute: usize,
-    /// As in [`Seams`].
+    /// As in [`SeamsView`].
     pub(crate) values: Vec<[f32; 2]>,
     pub(crate) triangles: Vec<[u32; 3]>,
 }
@@ -170,7 +170,7 @@ impl PlacedMesh {
         let mut views: Vec<VertexAttribute> = Vec::new();
         for (index, attribute) in self.attributes.iter().enumerate() {
             let seams = seams.filter(|seams| seams.attribute == index);
-            let seams = seams.map(|PlacedSeams { values, triangles, .. }| Seams { values, triangles });
+            let seams = seams.map(|PlacedSeams { values, triangles, .. }| SeamsView { values, triangles });
             views.extend(attribute.view().map(|view| VertexAttribute { seams, ..view }));
         }
         let mesh = MeshView {

@@ -19,7 +19,7 @@ mod sequence;
 #[cfg(test)]
 mod tests;
 
-use crate::data::{MeshView, Seams, VertexAttribute, VertexValues, bounds_of};
+use crate::data::{MeshView, SeamsView, VertexAttribute, VertexValues, bounds_of};
 use crate::narrow_points::NarrowPoints;
 use crate::provenance::are_points;
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, texture_of};
@@ -372,7 +372,7 @@ fn properties_of<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) ->
 /// all frames, so corners have indices even in a frame without seams.
 fn of_texture<'a>(
     name: &str,
-    Seams { values, triangles }: Seams<'a>,
+    SeamsView { values, triangles }: SeamsView<'a>,
     quads: &'a [bool],
 ) -> [MeshProperty<'a>; 2] {
     let name = format!("primvars:{name}");

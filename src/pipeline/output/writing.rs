@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use meniscus_formats::{
-    AttributeRole, BandGrid, Content, LeafValues, LevelSetView, MeshEncoder, MeshView, Provenance, Seams,
+    AttributeRole, BandGrid, Content, LeafValues, LevelSetView, MeshEncoder, MeshView, Provenance, SeamsView,
     VertexAttribute, VertexValues, vdb,
 };
 
@@ -206,7 +206,7 @@ fn leaf_origins(band: &NarrowBand) -> Vec<[i32; 3]> {
 pub fn vertex_attributes<'a>(attributes: &'a SurfaceAttributes) -> Vec<VertexAttribute<'a>> {
     let seams_of = |index: usize| {
         let found = attributes.seams.as_ref().filter(|seams| seams.attribute == index);
-        found.map(|seams| Seams { values: &seams.values, triangles: &seams.triangles })
+        found.map(|seams| SeamsView { values: &seams.values, triangles: &seams.triangles })
     };
     let view = |(index, attribute): (usize, &'a Attribute)| VertexAttribute {
         name: &attribute.name,
