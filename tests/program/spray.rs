@@ -332,6 +332,15 @@ fn filled_cavities_are_bubbles() {
 }
 
 #[test]
+fn a_pattern_of_surfaces_may_match_the_points_beside_them() {
+    let folder = splash(true);
+    convert(folder.path(), "out", &["--format", "ply"]);
+    let result = meniscus(folder.path(), &["flicker", "out/*.ply", "--particles", "in"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(result.out.contains("dam.{}.ply: flicker"), "{}", result.out);
+}
+
+#[test]
 fn points_outside_the_clip_box_are_left_out() {
     let folder = splash(true);
     let folder = folder.path();
