@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     # Type checkers know this module without its package.
     from typing_extensions import Unpack
 
-#: Attributes of the particles: arrays by name. For `Particles` also names of their attributes, or "all".
+#: Attributes of the particles: arrays by name. Also names of computed attributes, and for `Particles` of theirs, or "all".
 Attributes = Mapping[str, Any] | Iterable[str] | str | None
 
 #: Keywords of `reconstruct` that are not options.
@@ -69,7 +69,11 @@ def reconstruct(
     attributes : mapping of str to array_like, iterable of str, or "all", optional
         Attributes that the surface gets: arrays of numbers or text by name, shape (N,) or (N, K). A vertex
         gets the mean of real numbers over the particles around it, and the integers and text of the nearest
-        particle. If `points` are `Particles`, names of their attributes, or ``"all"``.
+        particle. If `points` are `Particles`, names of their attributes, or ``"all"``. These names are computed,
+        unless the particles have an attribute of that name: ``"speed"`` and ``"vorticity"`` of velocities, and
+        ``"normal_curvature"`` of the mesh. In a mapping, they have None in place of an array. Without velocities,
+        a warning says that an attribute is not computed. ``"age"`` must be an array: other frames are not known
+        here.
     obstacles : Obstacle, path-like, (vertices, triangles), or an iterable of these, optional
         Bodies that the surface does not enter.
     formats : iterable of str, optional
@@ -106,8 +110,8 @@ def reconstruct(
     ValueError
         For arrays of a wrong shape, and obstacles that are too far from the origin.
     OptionError
-        If an option is out of its range, or the particle spacing cannot be measured. A subclass of
-        `ValueError`.
+        If an option is out of its range, the particle spacing cannot be measured, or ``"age"`` is asked for and
+        is no array. A subclass of `ValueError`.
     ParticleError
         If the spacing or the preset must be measured and there are no particles, no position is finite, an
         attribute that an option needs is missing, or the voxels are too small for the extent of the frame. A
@@ -410,14 +414,17 @@ class _Given:
                     raise TypeError(f"the name of an attribute must be text, not {type(name).__name__}")
         if isinstance(attributes, Mapping):
             for name, values in attributes.items():
-                self._add(name, None, values, count)
+                if values is not None or not _is_computed(name):
+                    self._add(name, None, values, count)
                 self.selected.append(name)
         elif isinstance(attributes, str):
             self.selects_all = attributes == "all"
             self.selected += [] if self.selects_all else [name.strip() for name in attributes.split(",")]
         else:
             self.selected += list(attributes)
-        if self.selected and not self.attributes:
+        # The velocities, which their argument selects, may be named as well: files record each name once.
+        self.selected = list(dict.fromkeys(self.selected))
+        if not self.attributes and not all(map(_is_computed, self.selected)):
             raise TypeError("attributes must be arrays by name: only Particles have attributes of their own")
 
     def _add(
@@ -446,6 +453,11 @@ class _Given:
         if self.has_radii:
             options = {**options, "radius_attribute": "radius"}
         return as_pairs(options)
+
+
+def _is_computed(name: str) -> bool:
+    """Whether an attribute of this name is computed if the particles have none."""
+    return name.lower() in _native.computed_attributes()
 
 
 def _warn_of_ignored(given: _Given, options: Mapping[str, Any], obstacles: list[_native.Obstacle]) -> None:

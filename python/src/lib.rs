@@ -29,7 +29,7 @@ mod _native {
     #[pymodule_export]
     use crate::arrays::role_of;
     #[pymodule_export]
-    use crate::options::{check_options, option_table, option_warnings};
+    use crate::options::{check_options, computed_attributes, option_table, option_warnings};
     #[pymodule_export]
     use crate::program::{
         Obstacle, default_memory, file_hash, format_names, memory_bytes, read, run_command, version,

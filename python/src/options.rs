@@ -1,6 +1,7 @@
 //! The options of the method by name. All of them come from the definition in the core, so a new option needs
 //! no code here.
 
+use meniscus::surface::attributes::ComputedAttribute;
 use meniscus::surface::options::{OptionName, ValueKind};
 use meniscus::surface::{AttributeSelection, Options, Settings};
 use meniscus_formats::listed;
@@ -58,6 +59,12 @@ pub(crate) fn option_table(py: Python<'_>) -> PyResult<Vec<Bound<'_, PyDict>>> {
         table.push(row);
     }
     Ok(table)
+}
+
+/// The names of the attributes that are computed if they are asked for.
+#[pyfunction]
+pub(crate) fn computed_attributes() -> Vec<&'static str> {
+    ComputedAttribute::ALL.into_iter().map(ComputedAttribute::name).collect()
 }
 
 /// The given options with values in their shortest form, in the order of `option_table`. Raises `OptionError`

@@ -389,6 +389,89 @@ def test_attributes_reach_the_vertices(block):
     assert list(pm.reconstruct(block, attributes=particles, spacing=0.1).attributes) == ["height"]
 
 
+def ball(radius: float, spacing: float) -> np.ndarray:
+    """Particles on a lattice in a ball around the origin."""
+    points = lattice(2 * int(radius / spacing) + 1, spacing, np.float64)
+    points -= points.mean(axis=0)
+    return points[np.linalg.norm(points, axis=1) <= radius]
+
+
+def test_speed_and_vorticity_are_computed(block):
+    # A constant velocity has its length everywhere, and does not turn.
+    made = pm.reconstruct(block, velocity=np.tile([2.0, -3.0, 6.0], (1000, 1)), attributes="speed,vorticity", spacing=0.1)
+    assert set(made.attributes) == {"velocity", "speed", "vorticity"}
+    assert np.allclose(made.attributes["speed"], 7, rtol=1e-5) and np.abs(made.attributes["vorticity"]).max() < 1e-4
+    # A rotation of 3 radians per second turns with twice that. The option scales both.
+    points, axis = block + 0.02 * np.sin(np.arange(3000)).reshape(-1, 3), np.array([1.0, -2.0, 2.0])
+    velocity = np.cross(axis, points)
+    for scale, source in (
+        (1.0, {"points": points, "velocity": velocity, "attributes": ["Speed", "vorticity"]}),
+        (2.0, {"points": points, "attributes": {"v": velocity, "vorticity": None, "speed": None}}),
+        (0.5, {"points": pm.Particles(points, {"v": velocity}), "attributes": "speed,vorticity"}),
+    ):
+        made = pm.reconstruct(**source, velocity_scale=scale, spacing=0.1)
+        assert np.allclose(made.attributes["vorticity"], 6 * scale, rtol=2e-3)
+        # Means over the particles around a vertex, half a spacing deeper.
+        expected = scale * np.linalg.norm(np.cross(axis, made.vertices), axis=1)
+        assert np.abs(made.attributes["speed"] - expected).max() < 3 * scale * 0.1
+    # Each frame of a sequence, and particles that a mask chooses.
+    sequence, still = pm.Sequence(spacing=0.1), np.zeros(1000, bool)
+    still[:500] = True
+    velocity = np.where(still[:, None], 0.0, [[0.0, 3.0, 4.0]])
+    made = sequence.reconstruct(block, velocity=velocity, attributes="speed", where=~still)
+    assert np.allclose(made.attributes["speed"], 5, rtol=1e-5)
+    averaged = pm.Sequence(spacing=0.1, temporal=1, time_step=0.01).averaged(
+        {"points": block, "velocity": np.full((1000, 3), float(frame)), "attributes": "speed"} for frame in range(3)
+    )
+    for frame, made in enumerate(averaged):
+        assert np.allclose(made.attributes["speed"], frame * 3**0.5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("radius", [0.5, 1.0])
+def test_curvature_is_that_of_the_mesh(radius):
+    """Of a ball, 1/r; of a cavity, -1/r."""
+    solid = ball(radius, 0.05)
+    made = pm.reconstruct(solid, attributes="normal_curvature", spacing=0.05)
+    assert list(made.attributes) == ["normal_curvature"] and made.attributes["normal_curvature"].dtype == np.float32
+    found = np.median(made.attributes["normal_curvature"])
+    mean_radius = np.linalg.norm(made.vertices, axis=1).mean()
+    assert abs(found * mean_radius - 1) < 0.1, found
+    outside = lattice(int(2.4 * radius / 0.05), 0.05, np.float64)
+    outside -= outside.mean(axis=0)
+    made = pm.reconstruct(
+        outside[np.linalg.norm(outside, axis=1) > radius], attributes={"normal_curvature": None}, spacing=0.05
+    )
+    distances = np.linalg.norm(made.vertices, axis=1)
+    is_cavity = distances < 1.05 * radius
+    found = np.median(made.attributes["normal_curvature"][is_cavity])
+    assert abs(found * distances[is_cavity].mean() + 1) < 0.1, found
+
+
+def test_attributes_that_cannot_be_computed(block):
+    for source in ({"points": block}, {"points": pm.Particles(block)}, {"points": block, "velocity": None}):
+        with pytest.warns(UserWarning, match="^`vorticity` is not computed: the particles have no velocities$") as caught:
+            made = pm.reconstruct(**source, attributes="vorticity", spacing=0.1)
+        assert len(caught) == 1 and caught[0].filename == __file__ and not made.attributes
+    age = np.arange(1000, dtype=np.float32)
+    ids = pm.Particles(block, {"id": np.arange(1000)})
+    for source in ({"points": block, "attributes": "age"}, {"points": ids, "attributes": ["age"]},
+                   {"points": block, "attributes": {"a": age, "age": None}}):  # fmt: skip
+        with pytest.raises(pm.OptionError, match='`attributes="age"` needs the frames before a frame'):
+            pm.reconstruct(**source, spacing=0.1)
+    # Attributes of the particles take precedence.
+    for name in ("age", "Speed", "vorticity", "normal_curvature"):
+        for source in (
+            {"points": block, "velocity": np.ones((1000, 3)), "attributes": {name: age}},
+            {"points": pm.Particles(block, {name: age, "v": np.ones((1000, 3))}), "attributes": name},
+        ):
+            made = pm.reconstruct(**source, spacing=0.1)
+            assert made.attributes[name].max() > 900 and not made.warnings
+    with pytest.raises(TypeError, match="`heat` is not an array of numbers but NoneType"):
+        pm.reconstruct(block, attributes={"age": age, "heat": None}, spacing=0.1)
+    # "all" includes none of them, as in the command.
+    assert list(pm.reconstruct(block, velocity=np.ones((1000, 3)), attributes="all", spacing=0.1).attributes) == ["velocity"]
+
+
 @pytest.mark.parametrize(
     ("keywords", "error"),
     [
@@ -398,6 +481,8 @@ def test_attributes_reach_the_vertices(block):
         ({"attributes": {"a": np.zeros(1000, complex)}}, TypeError),
         ({"attributes": {"a": np.full(1000, 2**64 - 1, np.uint64)}}, ValueError),
         ({"attributes": ["a"]}, TypeError),
+        ({"attributes": "a,normal_curvature"}, TypeError),
+        ({"attributes": {"a": None}}, TypeError),
         ({"attributes": {3: np.zeros(1000)}}, TypeError),
         ({"attributes": 3}, TypeError),
         ({"attributes": [3]}, TypeError),

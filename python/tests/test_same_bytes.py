@@ -57,6 +57,20 @@ def test_exported_arrays_with_attributes_and_radii(block, tmp_path):
     assert (tmp_path / "again.vdb").read_bytes() == (tmp_path / "command" / "frame.vdb").read_bytes()
 
 
+def test_computed_attributes(block, tmp_path):
+    velocity = np.random.default_rng(2).normal(size=(1000, 3)).astype(np.float32)
+    exported, names = tmp_path / "frame.npz", "velocity,speed,vorticity,normal_curvature"
+    np.savez(exported, position=block, velocity=velocity)
+    pm.convert(exported, tmp_path / "command", format=["ply", "vdb"], attributes=names, spacing=0.1)
+    surface = pm.reconstruct(block, velocity=velocity, attributes=names, formats=["ply", "vdb"], spacing=0.1)
+    assert list(surface.attributes) == names.split(",")
+    surface.write(tmp_path / "frame.ply", source=exported)
+    with pytest.warns(UserWarning, match="normal_curvature is not in the .vdb"):
+        surface.write(tmp_path / "frame.vdb", source=exported)
+    for name in ("frame.ply", "frame.vdb"):
+        assert (tmp_path / name).read_bytes() == (tmp_path / "command" / name).read_bytes(), name
+
+
 def test_condition_on_attributes(block, tmp_path):
     exported = tmp_path / "frame.npz"
     np.savez(exported, position=block, phase=(block[:, 0] < 0.5).astype(np.int32), height=block[:, 1].copy())

@@ -352,9 +352,9 @@ impl<'a> Reconstructor<'a> {
         }
         check_lengths(&positions, &attributes)?;
         let settings = &self.settings_on(&positions, &attributes)?.clone();
-        settings.require_no_history()?;
+        settings.require_no_history(&attributes)?;
         if !is_averaged {
-            settings.require_single_frame()?;
+            settings.require_single_frame(&attributes)?;
         }
         check_required_attributes(settings, &attributes)?;
         let input_count = positions.len();

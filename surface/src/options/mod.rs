@@ -23,6 +23,7 @@ pub use reach::{FrameReach, RestAt, RestFrames};
 pub use resolution::Pairs;
 pub use values::{AnisotropyKind, AttributeSelection, ClipBox, ColumnNames, Length, LengthUnit};
 
+use crate::attributes::ComputedAttribute;
 use crate::particles::{Attribute, ParticleFilter, find_attribute};
 use crate::smooth::{EIGENVALUE_MAX, SmoothSteps};
 use crate::spacing::median;
@@ -411,29 +412,30 @@ impl Settings {
         })
     }
 
-    /// Refuses settings that need other frames, for a frame that is reconstructed alone.
+    /// Refuses settings that need other frames, for a frame of particles with these attributes, as far as they are
+    /// known, that is reconstructed alone.
     ///
     /// # Errors
     /// If the surface is to be averaged over time, or particles are to be followed back.
-    pub fn require_single_frame(&self) -> Result<(), SettingsError> {
-        self.require_no_history()?;
+    pub fn require_single_frame(&self, given: &[Attribute]) -> Result<(), SettingsError> {
+        self.require_no_history(given)?;
         if self.temporal > 0 { Err(SettingsFault::SingleFrame.into()) } else { Ok(()) }
     }
 
-    /// Refuses settings that need the frames before a frame, where these are not known.
+    /// Refuses settings that need the frames before a frame of particles with these attributes, where those frames
+    /// are not known. Ages need none if the particles have them.
     ///
     /// # Errors
     /// If particles are to be followed back.
-    pub fn require_no_history(&self) -> Result<(), SettingsError> {
-        let option = match self.rest {
-            Some(_) => OptionName::new("rest"),
-            None => OptionName::with_value("attributes", "age"),
-        };
-        if self.frame_reach().has_history() {
-            Err(SettingsFault::EarlierFrames(option).into())
+    pub fn require_no_history(&self, given: &[Attribute]) -> Result<(), SettingsError> {
+        let option = if self.rest.is_some() {
+            OptionName::new("rest")
+        } else if ComputedAttribute::Age.is_wanted(self.attributes.as_ref(), given) {
+            OptionName::with_value("attributes", "age")
         } else {
-            Ok(())
-        }
+            return Ok(());
+        };
+        Err(SettingsFault::EarlierFrames(option).into())
     }
 
     /// Checks what depends on several options.
