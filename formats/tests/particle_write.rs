@@ -284,6 +284,49 @@ fn points_beside_a_surface_are_read_back_from_all_formats() {
     }
 }
 
+/// Blender reads the ids from a primvar of 32 bits. Readers find the ids once.
+#[test]
+fn stages_have_ids_of_32_bits_twice_and_are_read_as_written() {
+    let ids = |name: &str, values: Vec<i64>| attribute(name, 1, Some(AttributeRole::Id), Values::I64(values));
+    let narrow = ids("ids", vec![i64::from(i32::MAX), -1, i64::from(i32::MIN)]);
+    let wide = ids("ids", vec![0, 1 << 31, 2]);
+    let named = attribute("id", 1, None, Values::I32(vec![4, 5, 6]));
+    let vectors = attribute("id", 2, None, Values::F32(vec![0.5; 6]));
+    for format in [PointFormat::Usda, PointFormat::Usdc] {
+        for (attributes, primvar, count) in [
+            (vec![narrow.clone()], true, 1),
+            (vec![wide.clone()], false, 1),
+            // Another attribute has the name, and keeps it.
+            (vec![narrow.clone(), named.clone()], true, 2),
+            (vec![wide.clone(), named.clone()], true, 2),
+            (vec![narrow.clone(), vectors.clone()], true, 2),
+        ] {
+            let positions = FilePositions::F32(vec![[0.0; 3], [1.0; 3], [2.0; 3]]);
+            let frame = ParticleFrame { positions, attributes, notes: Vec::new() };
+            let mut bytes = Vec::new();
+            format.write(&frame, &MeshOptions::default(), &[], &mut bytes).unwrap();
+            if format == PointFormat::Usda {
+                let found = String::from_utf8_lossy(&bytes).matches("[] primvars:id = ").count();
+                assert_eq!(found, usize::from(primvar), "{:?}", frame.attributes);
+            }
+            assert_eq!(format.notes(&frame), [""; 0]);
+            let back = read(&bytes, "a");
+            assert_eq!((back.attributes.len(), back.notes.as_slice()), (count, [].as_slice()));
+            assert_eq!(back.positions, frame.positions);
+            for (found, written) in back.attributes.iter().zip(&frame.attributes) {
+                assert_eq!((&found.name, &found.values), (&written.name, &written.values));
+            }
+        }
+    }
+    // Other programs may mean something else by the name.
+    let stage = "#usda 1.0\ndef Points \"p\" { point3f[] points = [(1, 2, 3), (4, 5, 6)] int64[] ids = [3, 4]
+        int[] primvars:id = [3, 5] ( interpolation = \"vertex\" ) }";
+    let found = read(stage.as_bytes(), "a.usda");
+    assert_eq!((floats(&found, "ids"), floats(&found, "id")), (vec![3.0, 4.0], vec![3.0, 5.0]));
+    let copied = read(stage.replace("[3, 5]", "[3, 4]").as_bytes(), "a.usda");
+    assert_eq!((copied.attributes.len(), floats(&copied, "ids")), (1, vec![3.0, 4.0]));
+}
+
 #[test]
 fn points_follow_the_up_axis_and_the_unit() {
     let options = MeshOptions { up: UpAxis::Z, meters_per_unit: 0.01, ..MeshOptions::default() };

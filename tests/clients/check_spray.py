@@ -203,7 +203,7 @@ def blender(case):
         mesh, points = (objects[kind].evaluated_get(bpy.context.evaluated_depsgraph_get()) for kind in kinds)
         # Point clouds without points have no attributes.
         column = lambda name: numbers_of(points.data, name) if len(points.data.points) else np.empty((0, 3))
-        found = {name: column(name) for name in ("velocity", "radius", "heat", "spray_class")}
+        found = {name: column(name) for name in ("velocity", "radius", "heat", "spray_class", "id")}
         case.compare(f"blender, shot.usda in frame {frame}", max(number for number in NUMBERS if number <= frame),
                      transformed(positions_of(mesh.data), mesh.matrix_world),
                      {"position": transformed(column("position"), points.matrix_world), **found}, faults, ROUNDING)

@@ -248,13 +248,28 @@ pub(crate) fn point_properties<'a>(
     }));
     let positions = Elements::reals(points.positions.as_flattened(), 3);
     found.push(MeshProperty::array("point3f[]", "points", positions));
-    for (attribute, property) in others.iter().zip(usd_properties(others)) {
+    let of_others = usd_properties(others);
+    found.extend(points.ids.as_deref().and_then(|ids| narrow_ids(ids, &of_others)));
+    for (attribute, property) in others.iter().zip(of_others) {
         found.extend(properties_of(attribute, &property));
     }
     let widths = points.widths.as_deref();
     found.extend(widths.map(|widths| MeshProperty::array("float[]", "widths", Elements::reals(widths, 1))));
     found.extend(translation(points.origin, is_clip));
     found
+}
+
+/// The primvar by which Blender, which does not read `ids`, finds the ids of points: its nodes take random values from an
+/// attribute of this name.
+const ID: &str = "id";
+
+/// The ids once more, as the primvar [`ID`] of the type that Blender reads; `None` if they need 64 bits, or another
+/// attribute has the name.
+fn narrow_ids<'a>(ids: &'a [i64], of_others: &[UsdProperty]) -> Option<MeshProperty<'a>> {
+    let is_taken = of_others.iter().any(|other| matches!(other, UsdProperty::Primvar(name) if name == ID));
+    let fits = ids.iter().all(|id| i32::try_from(*id).is_ok());
+    let elements = Elements::Integers { values: ids, arity: 1, is_narrow: true };
+    (fits && !is_taken).then(|| primvar("int", ID, elements, 1))
 }
 
 /// The property that an attribute is written to.

@@ -205,6 +205,7 @@ fn read_prim(
     let positions = number::positions(values).unwrap_or_default();
     let is_skipped = |name: &str| name == points || name == "extent" || name.starts_with("xformOp");
     let mut arrays = attributes(stage, prim, (count, time), is_skipped, notes)?;
+    drop_copied_ids(&mut arrays);
     if matrix != IDENTITY {
         turn(&mut arrays, &matrix, prim, notes);
         let moves = !stage.transform_codes(prim)?.is_empty();
@@ -218,6 +219,17 @@ fn read_prim(
         }
     }
     Ok(ParticlePart { positions, arrays })
+}
+
+/// Removes the primvar `id` if it repeats the ids, as in files that this crate writes.
+fn drop_copied_ids(arrays: &mut Vec<NamedArray>) {
+    let of_name = |name: &str| arrays.iter().position(|array| array.name == name && array.arity == 1);
+    let (Some(ids), Some(copy)) = (of_name("ids"), of_name(super::ID)) else { return };
+    if let (Values::I64(ids), Values::I32(copied)) = (&arrays[ids].values, &arrays[copy].values)
+        && ids.iter().copied().eq(copied.iter().map(|id| i64::from(*id)))
+    {
+        arrays.remove(copy);
+    }
 }
 
 /// Applies a transform to vectors and widths.
