@@ -9,6 +9,8 @@
                   file is shown with its reason; the main thread is not blocked
     stopped       a second daemon and a wrong setting are refused with the reason; the daemon ends with the panel, and with a Blender that
                   is killed
+    spray         the points beside the surface of a stage, also of a single frame, keep their material at each frame, also
+                  in sequences_spray.png
     removed       nothing of the modules stays
     rendered      sequences_still.png, sequences_blurred.png: the last frame, sharp and with motion blur
 
@@ -71,6 +73,7 @@ def main():
         ("a wrong setting", wrong),
         ("a Blender that is killed", killed),
         ("pictures", pictures),
+        ("spray", spray),
         ("removed", removed),
     ):
         try:
@@ -535,6 +538,60 @@ def pictures():
     if blurred < 0.003:
         faults.append("the motion is not blurred")
     return f"{blurred:.2%} of the pixels are blurred: {WORK.name}/sequences_{{still,blurred}}.png", faults
+
+
+def spray():
+    """Steps through stages with points, and renders one. Blender takes the data of points from the file, without
+    materials, in each frame that has points."""
+    faults, folder = [], FOLDER / "spray"
+    report = pymeniscus.convert(
+        FOLDER / "in", folder / "out", format="usdc,ply", attributes="v", fps=FPS, spacing=0.051, spray=20,
+        stage=folder / "shot.usda",
+    )
+    counts = {int(Path(frame["input"]).stem[4:]): frame["spray"]["particles"] for frame in report["frames"]}
+    pymeniscus.convert(
+        FOLDER / "in/dam.0008.bgeo", folder / "out", format="usdc", spacing=0.051, spray=20, skip_done=True,
+        attributes="v", fps=FPS, stage=folder / "single.usda",
+    )
+    for name, numbers in (("single.usda", (8,)), ("shot.usda", NUMBERS)):
+        scene = new_scene()
+        import_by_operator(f"spray/{name}")
+        objects = {obj.type: obj for obj in scene.objects if obj.meniscus_sequence.path}
+        if sorted(objects) != ["MESH", "POINTCLOUD"]:
+            return "", [f"{name}: imported {sorted(objects)}"]
+        points = objects["POINTCLOUD"]
+        for obj in objects.values():
+            modifier = sequence.modifier_of(obj)
+            prim = {"MESH": "/root/dam/surface", "POINTCLOUD": "/root/dam_spray/spray"}[obj.type]
+            if not modifier or modifier.object_path != prim:
+                faults.append(f"{name}: {obj.name} does not read {prim}")
+        for obj in objects.values():
+            material, shader = new_material(obj.type)
+            shader.inputs["Base Color"].default_value = (0.02, 0.15, 0.3, 1) if obj.type == "MESH" else (1, 0, 0, 1)
+            if obj.type == "MESH":
+                obj.data.materials.append(material)
+            elif [slot.link for slot in obj.material_slots] == ["OBJECT"] and obj.material_slots[0].material:
+                obj.material_slots[0].material = material
+            else:
+                faults.append(f"{name}: the points have the slots {[slot.link for slot in obj.material_slots]}")
+        for number in numbers:
+            scene.frame_set(number)
+            graph = bpy.context.evaluated_depsgraph_get()
+            for obj in objects.values():
+                slots = [slot.material and slot.material.name for slot in obj.evaluated_get(graph).material_slots]
+                if len(slots) != 1 or slots[0] is None:
+                    faults.append(f"{name}, frame {number}: {obj.name} has the materials {slots}")
+            if (found := len(points.evaluated_get(graph).data.points)) != counts[number]:
+                faults.append(f"{name}, frame {number}: {found} points instead of {counts[number]}")
+    # The last frame of the last stage, with the points in red.
+    vertices, _ = read_ply(folder / "out" / "dam.0008.ply")
+    stage(TURN, vertices.min(axis=0), vertices.max(axis=0))
+    image = render(WORK / "sequences_spray.png")
+    red = (image[..., 0] > 2 * image[..., 1:].max(axis=-1) + 0.1).sum()
+    if red < 20:
+        faults.append(f"sequences_spray.png has {red} red pixels")
+    figures = " ".join(map(str, counts.values()))
+    return f"{figures} points; {red} red pixels: {WORK.name}/sequences_spray.png", faults
 
 
 def removed():

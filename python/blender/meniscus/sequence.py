@@ -36,9 +36,10 @@ FOLLOW_SECONDS = 1.0
 TO_Z_UP = Matrix.Rotation(math.radians(90), 4, "X")
 #: Keeps a rounding error of a driver or of a key below the frame that it means.
 TINY = 1e-3
-#: The default prim of a stage, and where it has the mesh of a sequence, by the sequence's name.
+#: The default prim of a stage, and where it has the mesh or the points of a sequence, by the sequence's name and the
+#: type of the object.
 ROOT = "root"
-MESH_PATH = f"/{ROOT}/{{}}/surface"
+PATHS = {"MESH": f"/{ROOT}/{{}}/surface", "POINTCLOUD": f"/{ROOT}/{{}}/spray"}
 BUILD = bpy.app.build_options
 
 
@@ -170,7 +171,7 @@ def import_sequence(scene: bpy.types.Scene, path: Path) -> list[bpy.types.Object
 
 
 def add_meshes(_scene: bpy.types.Scene, path: Path, shot: Shot) -> list[bpy.types.Object]:
-    """The objects that Blender's importer makes, with its Mesh Sequence Cache."""
+    """The objects that Blender's importer makes, meshes and point clouds, with its Mesh Sequence Cache."""
     require("Alembic" if path.suffix == ".abc" else "USD")
     before = set(bpy.data.objects)
     with in_window():
@@ -194,7 +195,23 @@ def add_meshes(_scene: bpy.types.Scene, path: Path, shot: Shot) -> list[bpy.type
         obj.name = name
         # Vertices of different frames are unrelated, even if they are equally many.
         modifier_of(obj).use_vertex_interpolation = False
+        if obj.type == "POINTCLOUD":
+            keep_material(obj)
     return meshes
+
+
+def keep_material(points: bpy.types.Object) -> None:
+    """Give a point cloud a material that it keeps: the object's own, because in each frame with points Blender takes the
+    data from the file, without materials. Without a material, it is white foam."""
+    if not points.material_slots:
+        material = bpy.data.materials.new(points.name)
+        material.use_nodes = True
+        shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+        shader.inputs["Base Color"].default_value, shader.inputs["Roughness"].default_value = (1, 1, 1, 1), 0.35
+        points.data.materials.append(material)
+    for slot in points.material_slots:
+        material, slot.link = slot.material, "OBJECT"
+        slot.material = material
 
 
 def require(library: str) -> None:
@@ -245,23 +262,24 @@ def add_volumes(scene: bpy.types.Scene, path: Path, _shot: Shot) -> list[bpy.typ
 
 
 def read_from_file(path: Path, shot: Shot, added: set[bpy.types.Object]) -> None:
-    """Give the meshes of a stage with a single frame what the importer gives them only if there are several."""
-    surfaces = [obj for obj in added if obj.type == "MESH" and not modifier_of(obj)]
-    if not surfaces:
+    """Give the objects of a stage with a single frame what the importer gives them only if there are several."""
+    still = [obj for obj in added if obj.type in PATHS and not modifier_of(obj)]
+    if not still:
         return
     known = set(bpy.data.cache_files)
     with in_window():
         bpy.ops.cachefile.open(filepath=str(path))
     (cache,) = set(bpy.data.cache_files) - known
-    for obj in surfaces:
+    for obj in still:
         # The parent has the name of the sequence, with a number if another object has it, too.
         parent = obj.parent.name if obj.parent else ""
         name = max((name for name in shot.frames if parent.startswith(name)), key=len, default=None)
         if name:
+            prim = PATHS[obj.type].format(name)
             modifier = obj.modifiers.new("MeshSequenceCache", "MESH_SEQUENCE_CACHE")
-            modifier.cache_file, modifier.object_path = cache, MESH_PATH.format(name)
+            modifier.cache_file, modifier.object_path = cache, prim
             place = obj.constraints.new("TRANSFORM_CACHE")
-            place.cache_file, place.object_path = cache, MESH_PATH.format(name)
+            place.cache_file, place.object_path = cache, prim
 
 
 def modifier_of(obj: bpy.types.Object) -> bpy.types.MeshSequenceCacheModifier | None:
