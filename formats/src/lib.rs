@@ -51,6 +51,7 @@ pub mod prt;
 mod records;
 mod row;
 mod sequence;
+mod sequence_points;
 pub mod steps;
 pub mod stl;
 mod streamed;
@@ -89,6 +90,7 @@ pub use probe::{Probe, ProbedKind, looks_like_particles, probe};
 pub use row::{
     BatchEncoder, Completeness, Content, MeshEncoder, MeshWriter, ParticleWriter, PictureWriter, StreamWriter,
 };
+pub use sequence_points::{PointsSummary, ReadPoints, SequencePoints};
 pub use table::{Format, OutputFormat, read_provenance};
 pub use text::{Escaped, escaped, is_unsafe, listed};
 

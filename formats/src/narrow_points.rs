@@ -40,12 +40,30 @@ impl<'a> NarrowPoints<'a> {
     /// # Errors
     /// [`Error::Invalid`] if an attribute has the wrong number of values, or a position is not finite.
     pub(crate) fn of(frame: &'a ParticleFrame, format: &'static str) -> Result<NarrowPoints<'a>> {
+        let origin = match &frame.positions {
+            FilePositions::F32(_) => [0.0; 3],
+            FilePositions::F64(positions) => middle(positions),
+        };
+        NarrowPoints::around(frame, origin, format)
+    }
+
+    /// Converts a frame; positions become relative to this origin.
+    ///
+    /// # Errors
+    /// Those of [`NarrowPoints::of`].
+    pub(crate) fn around(
+        frame: &'a ParticleFrame,
+        origin: [f64; 3],
+        format: &'static str,
+    ) -> Result<NarrowPoints<'a>> {
         check(frame, format)?;
-        let (origin, positions) = match &frame.positions {
-            FilePositions::F32(positions) => ([0.0; 3], Cow::Borrowed(&**positions)),
+        let positions: Cow<[[f32; 3]]> = match &frame.positions {
+            FilePositions::F32(positions) if origin == [0.0; 3] => Cow::Borrowed(&**positions),
+            FilePositions::F32(positions) => {
+                positions.iter().map(|position| relative(position.map(f64::from), origin)).collect()
+            }
             FilePositions::F64(positions) => {
-                let origin = middle(positions);
-                (origin, positions.iter().map(|position| relative(*position, origin)).collect())
+                positions.iter().map(|position| relative(*position, origin)).collect()
             }
         };
         if !positions.as_flattened().iter().all(|along| along.is_finite()) {
@@ -65,6 +83,11 @@ impl<'a> NarrowPoints<'a> {
             }
         }
         Ok(NarrowPoints { origin, positions, ids, widths, others })
+    }
+
+    /// The largest radius; 0 without widths.
+    pub(crate) fn radius(&self) -> f32 {
+        self.widths.iter().flatten().fold(0.0, |most: f32, width| most.max(0.5 * width))
     }
 
     /// The attributes other than ids and widths.

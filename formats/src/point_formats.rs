@@ -4,9 +4,10 @@ use std::io::Write;
 
 use crate::data::{ParticleFrame, Provenance};
 use crate::error::Result;
+use crate::limits::Limits;
 use crate::options::MeshOptions;
 use crate::table::OutputFormat;
-use crate::{abc, bgeo, npy, ply, usda, usdc, vtk};
+use crate::{abc, bgeo, npy, ply, read_particles, usda, usdc, vtk};
 
 /// A format of points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -91,6 +92,26 @@ impl PointFormat {
             PointFormat::Usdc => usdc::write_particles(points, options, provenance, out),
             PointFormat::Abc => abc::write_particles(points, options, provenance, out),
             PointFormat::Npy => npy::write(points, out),
+        }
+    }
+
+    /// Reads points that this crate wrote, as they were given to [`PointFormat::write`], apart from what the format
+    /// does not hold exactly: neither the up axis nor the unit of a file has an effect on them.
+    ///
+    /// # Errors
+    /// Those of [`read_particles`]; [`Error::Unsupported`](crate::Error::Unsupported) or
+    /// [`Error::Invalid`](crate::Error::Invalid) if another program wrote or changed the file.
+    pub fn read(self, bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+        let name = format!("points.{}", self.extension());
+        match self {
+            PointFormat::Abc => abc::read_own_points(bytes, limits),
+            PointFormat::Usda | PointFormat::Usdc => {
+                let frame = read_particles(bytes, &name, limits)?;
+                Ok(ParticleFrame { attributes: usdc::as_before(frame.attributes), ..frame })
+            }
+            PointFormat::Ply | PointFormat::Vtp | PointFormat::Bgeo | PointFormat::Npy => {
+                read_particles(bytes, &name, limits)
+            }
         }
     }
 

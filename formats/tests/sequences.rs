@@ -6,8 +6,9 @@ use std::io::{self, Cursor, Read, Seek, SeekFrom};
 
 use meniscus_formats::gltf::{self, GlbFrame, SequenceFrame, UpAxis};
 use meniscus_formats::{
-    AttributeRole, ContainerFile, Error, FileAttribute, Format, Limits, MeshData, MeshOptions, MeshView,
-    OpenFurther, OutputFormat, ProbedKind, Values, VertexAttribute, VertexValues, abc, container, usda, usdc,
+    AttributeRole, ContainerFile, Error, FileAttribute, FilePositions, Format, Limits, MeshData, MeshOptions,
+    MeshView, OpenFurther, OutputFormat, ParticleFrame, PointFormat, PointsSummary, ProbedKind,
+    SequencePoints, Values, VertexAttribute, VertexValues, abc, container, read_particles, usda, usdc,
 };
 
 /// A pyramid over a polygon, and the options for writing it.
@@ -103,7 +104,8 @@ fn usda_shot(up: UpAxis) -> (String, Vec<String>) {
     let (shot, files) = gathered(up);
     let mut bytes = Vec::new();
     let open = |index: usize| Ok(Cursor::new(&files[index]));
-    let notes = usda::write_sequence(&shot, (25.0, 0.01), &provenance(), open, &mut bytes).expect("written");
+    let notes =
+        usda::write_sequence(&shot, None, (25.0, 0.01), &provenance(), open, &mut bytes).expect("written");
     (String::from_utf8(bytes).expect("UTF-8"), notes)
 }
 
@@ -111,7 +113,8 @@ fn usdc_shot(up: UpAxis) -> (Vec<u8>, Vec<String>) {
     let (shot, files) = gathered(up);
     let mut bytes = Cursor::new(Vec::new());
     let open = |index: usize| Ok(Cursor::new(&files[index]));
-    let notes = usdc::write_sequence(&shot, (25.0, 0.01), &provenance(), open, &mut bytes).expect("written");
+    let notes =
+        usdc::write_sequence(&shot, None, (25.0, 0.01), &provenance(), open, &mut bytes).expect("written");
     (bytes.into_inner(), notes)
 }
 
@@ -188,7 +191,7 @@ fn abc_sequence_has_a_sample_per_frame() {
         let (shot, files) = gathered(up);
         let mut bytes = Vec::new();
         let open = |index: usize| Ok(Cursor::new(&files[index]));
-        let notes = abc::write_sequence(&shot, 25.0, &provenance(), open, &mut bytes).expect("written");
+        let notes = abc::write_sequence(&shot, None, 25.0, &provenance(), open, &mut bytes).expect("written");
         assert!(notes.len() == 1 && notes[0].starts_with("_HEAT is missing"), "{notes:?}");
         let limits = Limits::default();
         let times = abc::read_times(&bytes).expect("times");
@@ -227,13 +230,13 @@ fn abc_sequence_without_missing_frames_has_uniform_times() {
     shot.iter_mut().zip(7..).for_each(|(frame, code)| frame.code = code);
     let mut bytes = Vec::new();
     let open = |index: usize| Ok(Cursor::new(&files[index]));
-    abc::write_sequence(&shot, 24.0, &provenance(), open, &mut bytes).expect("written");
+    abc::write_sequence(&shot, None, 24.0, &provenance(), open, &mut bytes).expect("written");
     let times = abc::read_times(&bytes).expect("times");
     assert!(times.len() == 4 && times[0] == 7.0 / 24.0 && (times[3] - 10.0 / 24.0).abs() < 1e-12);
     shot[1].code = 7;
-    let error = abc::write_sequence(&shot, 24.0, &[], open, &mut Vec::new()).expect_err("out of order");
+    let error = abc::write_sequence(&shot, None, 24.0, &[], open, &mut Vec::new()).expect_err("out of order");
     assert!(matches!(error, Error::Invalid { .. }), "{error}");
-    assert!(abc::write_sequence(&[], 24.0, &[], open, &mut Vec::new()).is_err());
+    assert!(abc::write_sequence(&[], None, 24.0, &[], open, &mut Vec::new()).is_err());
 }
 
 fn samples<'a>(text: &'a str, name: &str) -> Vec<(&'a str, &'a str)> {
@@ -350,7 +353,7 @@ fn frames_with_the_same_number_of_vertices_are_repeated_just_before_the_next() {
         let codes = times.map(|time| time.to_string());
 
         let mut text = Vec::new();
-        usda::write_sequence(&frames, (24.0, 1.0), &[], open, &mut text).expect("written");
+        usda::write_sequence(&frames, None, (24.0, 1.0), &[], open, &mut text).expect("written");
         let text = String::from_utf8(text).expect("UTF-8");
         assert!(text.contains(&format!("    startTimeCode = {first}\n")));
         for name in ["points", "velocities", "normals", "faceVertexIndices", "extent"] {
@@ -359,16 +362,275 @@ fn frames_with_the_same_number_of_vertices_are_repeated_just_before_the_next() {
         }
 
         let mut bytes = Vec::new();
-        abc::write_sequence(&frames, 24.0, &provenance(), open, &mut bytes).expect("written");
+        abc::write_sequence(&frames, None, 24.0, &provenance(), open, &mut bytes).expect("written");
         assert_eq!(abc::read_times(&bytes).expect("times"), times.map(|time| time / 24.0));
 
         let mut bytes = Cursor::new(Vec::new());
-        usdc::write_sequence(&frames, (24.0, 1.0), &[], open, &mut bytes).expect("written");
+        usdc::write_sequence(&frames, None, (24.0, 1.0), &[], open, &mut bytes).expect("written");
         let bytes = bytes.into_inner();
         let layer = usdc::UsdcLayer::read(&bytes, &Limits::default()).expect("our own file");
         assert_eq!(layer.codes(), Some(&[from, from + 1.0, from + 2.0][..]));
         let stored = times.map(f64::to_le_bytes);
         assert!(bytes.windows(40).any(|window| window == stored.as_flattened()));
+    }
+}
+
+// Points beside the meshes.
+
+/// The points of the frame with this number, far from the world's origin, as files of frames have them: three in frames
+/// 5 and 6, and two in frame 10.
+fn points(code: i64) -> ParticleFrame {
+    let count = match code {
+        5 | 6 => 3,
+        10 => 2,
+        _ => 0,
+    };
+    let index = |scale: f64| move |index: usize| scale * (index + 1) as f64;
+    let reals = |arity: usize, scale: f64| {
+        Values::F32((0..arity * count).map(index(scale)).map(|value| value as f32).collect())
+    };
+    // Frame 10 has integers that need 64 bits.
+    let wide = if code == 10 { 1 << 40 } else { 7 };
+    let ids = if code == 10 { Values::I64(vec![wide; count]) } else { Values::I32(vec![code as i32; count]) };
+    let attribute =
+        |name: &str, arity, role, values| FileAttribute { name: name.to_owned(), arity, role, values };
+    let mut attributes = vec![
+        attribute("id", 1, Some(AttributeRole::Id), ids),
+        attribute("v", 3, Some(AttributeRole::Velocity), reals(3, code as f64)),
+        attribute("radius", 1, Some(AttributeRole::Radius), reals(1, 0.25)),
+        attribute("pair", 2, None, Values::I64(vec![wide; 2 * count])),
+        attribute(
+            "water",
+            1,
+            None,
+            Values::Strings {
+                table: if code == 6 { vec!["b".to_owned()] } else { vec!["a".to_owned(), "b".to_owned()] },
+                indices: (0..count as i32).map(|index| if code == 6 { -index } else { index - 1 }).collect(),
+            },
+        ),
+    ];
+    if code == 6 {
+        attributes.push(attribute("lost", 1, None, reals(1, 1.0)));
+        attributes.rotate_left(1);
+    }
+    let position = |index: usize| {
+        let along = |axis: usize| FAR[axis] + (code * (axis as i64 + 1)) as f64 + index as f64 / 64.0;
+        [along(0), along(1), along(2)]
+    };
+    let positions = FilePositions::F64((0..count).map(position).collect());
+    ParticleFrame { positions, attributes, notes: Vec::new() }
+}
+
+/// The sequence of the frames with their points, in USD as text and in binary, and in Alembic, with this provenance; and
+/// the notes.
+fn shots_with_points(up: UpAxis, provenance: &[(String, String)]) -> ([Vec<u8>; 3], Vec<String>) {
+    let (shot, files) = gathered(up);
+    let open = |index: usize| Ok(Cursor::new(&files[index]));
+    let summary = |frame: &Frame| PointsSummary::of(&points(frame.code)).expect("points");
+    let summaries = frames().iter().map(summary).collect();
+    let points = SequencePoints::new(summaries, Box::new(|index| Ok(points(frames()[index].code))));
+    let (units, beside) = ((25.0, 0.01), Some(&points));
+    let (mut text, mut binary, mut archive) = (Vec::new(), Cursor::new(Vec::new()), Vec::new());
+    let notes = [
+        usda::write_sequence(&shot, beside, units, provenance, open, &mut text),
+        usdc::write_sequence(&shot, beside, units, provenance, open, &mut binary),
+        abc::write_sequence(&shot, beside, 25.0, provenance, open, &mut archive),
+    ];
+    let [first, others @ ..] = notes.map(|notes| notes.expect("written"));
+    assert!(others.iter().all(|notes| *notes == first), "{first:?} {others:?}");
+    ([text, binary.into_inner(), archive], first)
+}
+
+const FORMATS: [Format; 3] = [Format::Usda, Format::Usdc, Format::Abc];
+
+/// The frames of particles in a file: their times, in frames, and the particles.
+fn particles_in(format: Format, bytes: &[u8]) -> Result<Vec<(f64, ParticleFrame)>, Error> {
+    let open: &OpenFurther = &|_| Err(io::ErrorKind::NotFound.into());
+    let (kind, file, limits) =
+        (ProbedKind::Format(format), ContainerFile { file: &bytes, name: "", open }, Limits::default());
+    let samples = container::samples(kind, &file, &limits)?;
+    let frame = |(index, sample): (usize, &meniscus_formats::Sample)| {
+        let packed = container::packed(kind, &file, index, &limits)?;
+        Ok((25.0 * sample.time.expect("a time"), read_particles(&packed, "", &limits)?))
+    };
+    samples.iter().enumerate().map(frame).collect()
+}
+
+fn reals_of(values: &Values) -> Vec<f64> {
+    match values {
+        Values::F32(values) => values.iter().map(|&value| value.into()).collect(),
+        Values::F64(values) => values.clone(),
+        Values::I32(values) => values.iter().map(|&value| value.into()).collect(),
+        Values::I64(values) => values.iter().map(|&value| value as f64).collect(),
+        values => panic!("{values:?}"),
+    }
+}
+
+/// The strings of an attribute; none for a missing one.
+fn strings_of(values: &Values) -> Vec<&str> {
+    let Values::Strings { table, indices } = values else { panic!("{values:?}") };
+    indices.iter().map(|&index| table.get(index as usize).map_or("", String::as_str)).collect()
+}
+
+#[test]
+fn points_beside_the_meshes_have_a_sample_per_frame() {
+    for up in [UpAxis::Y, UpAxis::Z] {
+        let (shots, notes) = shots_with_points(up, &[]);
+        assert!(notes.len() == 2 && notes[1].starts_with("lost of the points is missing"), "{notes:?}");
+        for (format, bytes) in FORMATS.into_iter().zip(&shots) {
+            let found = particles_in(format, bytes).expect("points");
+            let times: Vec<f64> = found.iter().map(|(time, _)| (64.0 * time).round() / 64.0).collect();
+            // Frames 5 and 6 have as many points. In Alembic, all objects have samples at the same times.
+            let is_abc = format == Format::Abc;
+            let before_6 = 6.0 - 1.0 / 64.0;
+            let held = is_abc.then_some(BEFORE_9);
+            let expected: Vec<f64> =
+                [5.0, before_6, 6.0].into_iter().chain(held).chain([9.0, 10.0]).collect();
+            assert_eq!(times, expected);
+            for (time, frame) in &found {
+                let code = (*time + 1e-9).floor() as i64;
+                let wanted = points(if code == 8 { 6 } else { code });
+                let turned = |values: &[f64]| -> Vec<f64> {
+                    let turn = |&[x, y, z]: &[f64; 3]| {
+                        if is_abc && up == UpAxis::Z { [x, z, -y] } else { [x, y, z] }
+                    };
+                    values.as_chunks::<3>().0.iter().flat_map(turn).collect()
+                };
+                let positions = |frame: &ParticleFrame| -> Vec<f64> {
+                    match &frame.positions {
+                        FilePositions::F64(positions) => positions.as_flattened().to_vec(),
+                        FilePositions::F32(positions) => {
+                            positions.iter().flatten().map(|&x| x.into()).collect()
+                        }
+                    }
+                };
+                assert_eq!(positions(frame), turned(&positions(&wanted)), "{format:?} {time}");
+                if code == 9 {
+                    continue;
+                }
+                let of_role = |frame: &ParticleFrame, role| -> Vec<f64> {
+                    let found = frame.attributes.iter().find(|attribute| attribute.role == Some(role));
+                    reals_of(&found.unwrap_or_else(|| panic!("{role:?}: {:?}", frame.attributes)).values)
+                };
+                for role in [AttributeRole::Id, AttributeRole::Radius] {
+                    assert_eq!(of_role(frame, role), of_role(&wanted, role), "{format:?} {time} {role:?}");
+                }
+                let velocity = of_role(&wanted, AttributeRole::Velocity);
+                assert_eq!(of_role(frame, AttributeRole::Velocity), turned(&velocity), "{format:?} {time}");
+                let named = |frame: &ParticleFrame, name: &str| {
+                    frame.attributes.iter().find(|attribute| attribute.name == name).cloned().expect("found")
+                };
+                let pair = named(frame, "pair");
+                assert_eq!(pair.arity, 2);
+                assert!(matches!(pair.values, Values::I64(_)), "{format:?}: the type is that of all frames");
+                assert_eq!(pair.values, named(&wanted, "pair").values);
+                let (water, wanted) = (named(frame, "water").values, named(&wanted, "water").values);
+                assert_eq!(strings_of(&water), strings_of(&wanted), "{format:?} {time}");
+                assert_eq!(frame.attributes.len(), 5, "{:?}", frame.attributes);
+            }
+        }
+        let text = String::from_utf8(shots[0].clone()).expect("UTF-8");
+        assert!(text.contains(
+            "\n    def Points \"surface_spray\"\n    {\n        float3[] extent.timeSamples = {\n"
+        ));
+        assert!(
+            text.ends_with("# end: 4 frames, 70011 vertices, 70008 faces, 8 points\n"),
+            "{}",
+            &text[text.len() - 80..]
+        );
+        assert_eq!(usda::read_attribute_names(text.as_bytes()), ["velocities"]);
+        // Only ids that are narrow in all frames are in the file twice.
+        assert!(!text.contains("primvars:id"), "{text}");
+    }
+}
+
+/// The meshes of a sequence are the same with points as without, and it has no particles.
+#[test]
+fn sequence_with_points_is_read_as_meshes() {
+    let limits = Limits::default();
+    let (shots, _) = shots_with_points(UpAxis::Z, &provenance());
+    for (format, bytes) in FORMATS.into_iter().zip(&shots) {
+        let error = particles_in(format, bytes).expect_err("no particles");
+        assert!(error.to_string().contains("this is a mesh, not particles"), "{format:?}: {error}");
+    }
+    let [_, binary, archive] = &shots;
+    let (plain, _) = usdc_shot(UpAxis::Z);
+    let [plain, beside] = [&plain, binary].map(|bytes| usdc::UsdcLayer::read(bytes, &limits).expect("ours"));
+    assert_eq!((plain.codes(), plain.info()), (beside.codes(), beside.info()));
+    for index in 0..4 {
+        assert!(plain.frame(index).expect("a frame") == beside.frame(index).expect("a frame"), "{index}");
+    }
+    let (info, attributes) =
+        abc::read_sequence_info(&mut Cursor::new(archive)).expect("read").expect("a sequence");
+    assert_eq!((info.frames, info.vertices, attributes), (4, 70_011, vec!["velocity".to_owned()]));
+    let mesh = |time| {
+        let index = abc::read_times(archive).expect("times").iter().position(|known| *known == time / 25.0);
+        abc::read_sample(archive, index.expect("a sample"), &limits).expect("a mesh")
+    };
+    assert!(mesh(5.0) == mesh(6.0 - 1.0 / 64.0) && mesh(5.0) != mesh(6.0));
+}
+
+/// Sequences have the points of files in any format, so these must be as they were before.
+#[test]
+fn points_are_read_as_they_were_written() {
+    let attribute =
+        |name: &str, arity, role, values| FileAttribute { name: name.to_owned(), arity, role, values };
+    let reals = |arity: usize| Values::F32((0..2 * arity).map(|index| 0.125 * index as f32).collect());
+    let frame = ParticleFrame {
+        positions: FilePositions::F32(vec![[1.0, 2.0, 3.0], [4.0, -5.0, 6.5]]),
+        attributes: vec![
+            attribute("id", 1, Some(AttributeRole::Id), Values::I32(vec![7, -1])),
+            attribute("v", 3, Some(AttributeRole::Velocity), reals(3)),
+            attribute("radius", 1, Some(AttributeRole::Radius), reals(1)),
+            attribute("Cd", 4, Some(AttributeRole::Color), reals(4)),
+            attribute("acceleration", 3, Some(AttributeRole::Acceleration), reals(3)),
+            attribute("rest", 3, None, reals(3)),
+            attribute("spray_class", 1, None, Values::I32(vec![0, 3])),
+        ],
+        notes: Vec::new(),
+    };
+    let expected = PointsSummary::of(&frame).expect("points");
+    let sequence = |read: ParticleFrame| {
+        let summary = PointsSummary::of(&read).expect("points");
+        assert_eq!(summary.count(), expected.count());
+        let (shot, files) = gathered(UpAxis::Y);
+        let points = SequencePoints::new(vec![summary], Box::new(move |_| Ok(read.clone())));
+        let (mut text, open) = (Vec::new(), |index: usize| Ok(Cursor::new(&files[index])));
+        let notes = usda::write_sequence(&shot[..1], Some(&points), (24.0, 1.0), &[], open, &mut text);
+        assert_eq!(notes.expect("written"), [""; 0]);
+        let text = String::from_utf8(text).expect("UTF-8");
+        text.split_once("    def Points ").expect("points").1.to_owned()
+    };
+    let written = sequence(frame.clone());
+    assert!(written.contains("float[] primvars:displayOpacity.timeSamples"), "{written}");
+    for format in PointFormat::ALL {
+        for up in [UpAxis::Y, UpAxis::Z] {
+            let (options, mut bytes) = (MeshOptions { up, ..MeshOptions::default() }, Vec::new());
+            format.write(&frame, &options, &provenance()[..1], &mut bytes).expect("written");
+            let read = format.read(&bytes, &Limits::default()).expect("our own file");
+            assert_eq!(sequence(read), written, "{format:?} {up:?}");
+            for length in 0..bytes.len() {
+                let _ = format.read(&bytes[..length], &Limits::default());
+            }
+        }
+    }
+}
+
+#[test]
+fn points_that_cannot_be_read_again_are_an_error() {
+    let (shot, files) = gathered(UpAxis::Y);
+    let open = |index: usize| Ok(Cursor::new(&files[index]));
+    let summary = |frame: &Frame| PointsSummary::of(&points(frame.code)).expect("points");
+    let changed = |_: usize| Ok(points(10));
+    let points = SequencePoints::new(frames().iter().map(summary).collect(), Box::new(changed));
+    let (units, points) = ((25.0, 1.0), Some(&points));
+    let outcomes = [
+        usda::write_sequence(&shot, points, units, &[], open, &mut Vec::new()),
+        usdc::write_sequence(&shot, points, units, &[], open, &mut Cursor::new(Vec::new())),
+        abc::write_sequence(&shot, points, 25.0, &[], open, &mut Vec::new()),
+    ];
+    for outcome in outcomes {
+        assert!(matches!(outcome, Err(Error::Invalid { .. })), "{outcome:?}");
     }
 }
 
@@ -380,7 +642,7 @@ fn usdc_sequence_contains_equal_arrays_once() {
         let frames: Vec<SequenceFrame> = (0..count).map(frame).collect();
         let mut bytes = Cursor::new(Vec::new());
         let open = |_: usize| Ok(Cursor::new(&files[3]));
-        usdc::write_sequence(&frames, (24.0, 1.0), &[], open, &mut bytes).expect("written");
+        usdc::write_sequence(&frames, None, (24.0, 1.0), &[], open, &mut bytes).expect("written");
         bytes.into_inner()
     };
     let (one, three) = (sequence_of(1), sequence_of(3));
@@ -403,7 +665,7 @@ fn invalid_sequences_are_errors() {
     let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };
     let both = |shot: &[SequenceFrame]| {
         let glb = gltf::write_sequence(shot, 24.0, &[], open, &mut Vec::new());
-        (glb, usda::write_sequence(shot, (24.0, 1.0), &[], open, &mut Vec::new()).map(|_| ()))
+        (glb, usda::write_sequence(shot, None, (24.0, 1.0), &[], open, &mut Vec::new()).map(|_| ()))
     };
     // Frames with the same time, and frames with different up axes.
     shot[1].code = 5;
@@ -417,8 +679,8 @@ fn invalid_sequences_are_errors() {
     files[3].truncate(2000);
     let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };
     assert!(gltf::write_sequence(&shot, 24.0, &[], open, &mut Vec::new()).is_err());
-    assert!(usda::write_sequence(&shot, (24.0, 1.0), &[], open, &mut Vec::new()).is_err());
-    assert!(usdc::write_sequence(&shot, (24.0, 1.0), &[], open, &mut Cursor::new(Vec::new())).is_err());
+    assert!(usda::write_sequence(&shot, None, (24.0, 1.0), &[], open, &mut Vec::new()).is_err());
+    assert!(usdc::write_sequence(&shot, None, (24.0, 1.0), &[], open, &mut Cursor::new(Vec::new())).is_err());
     // A sequence with only empty frames is an empty scene.
     let (shot, files) = gathered(UpAxis::Y);
     let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&files[2])) };
@@ -453,8 +715,8 @@ fn other_and_damaged_files_are_not_frames() {
             let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
             let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&broken)) };
             let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut Vec::new());
-            let _ = usda::write_sequence(&shot, (24.0, 1.0), &[], open, &mut Vec::new());
-            let _ = usdc::write_sequence(&shot, (24.0, 1.0), &[], open, &mut Cursor::new(Vec::new()));
+            let _ = usda::write_sequence(&shot, None, (24.0, 1.0), &[], open, &mut Vec::new());
+            let _ = usdc::write_sequence(&shot, None, (24.0, 1.0), &[], open, &mut Cursor::new(Vec::new()));
         }
     }
 }
@@ -478,7 +740,7 @@ fn usda_of(bytes: &[u8]) -> Result<(String, Vec<String>), Error> {
     let file = GlbFrame::read(&mut Cursor::new(bytes))?;
     let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
     let mut text = Vec::new();
-    let notes = usda::write_sequence(&shot, (24.0, 1.0), &[], |_| Ok(Cursor::new(bytes)), &mut text)?;
+    let notes = usda::write_sequence(&shot, None, (24.0, 1.0), &[], |_| Ok(Cursor::new(bytes)), &mut text)?;
     Ok((String::from_utf8(text).expect("UTF-8"), notes))
 }
 
@@ -539,7 +801,7 @@ fn sequences_name_attributes_as_single_frames_do() {
     let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
     let open = |_: usize| Ok(Cursor::new(&glb));
     let (mut frame, mut sequence) = (Vec::new(), Vec::new());
-    abc::write_sequence(&shot, 24.0, &[], open, &mut sequence).expect("written");
+    abc::write_sequence(&shot, None, 24.0, &[], open, &mut sequence).expect("written");
     let mesh = MeshView {
         positions: &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
         normals: &[[0.0, 0.0, 1.0]; 3],
@@ -608,12 +870,12 @@ fn accelerations_are_a_property_of_usd_meshes_and_an_attribute_elsewhere() {
         let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
         let open = |_: usize| Ok(Cursor::new(&glb));
         let mut bytes = Cursor::new(Vec::new());
-        usdc::write_sequence(&shot, (24.0, 1.0), &[], open, &mut bytes).expect("written");
+        usdc::write_sequence(&shot, None, (24.0, 1.0), &[], open, &mut bytes).expect("written");
         let bytes = bytes.into_inner();
         let layer = usdc::UsdcLayer::read(&bytes, &limits).expect("our own file");
         assert!(layer.frame(0).expect("our own file").attributes.iter().any(is_acceleration));
         let mut archive = Vec::new();
-        abc::write_sequence(&shot, 24.0, &[], open, &mut archive).expect("written");
+        abc::write_sequence(&shot, None, 24.0, &[], open, &mut archive).expect("written");
         let header = [&[name.len() as u8], name.as_bytes()].concat();
         assert!(archive.windows(header.len()).any(|window| window == header), "{name}");
     }
@@ -682,7 +944,7 @@ fn summary_of_a_sequence_needs_only_the_ends_of_its_file() {
     let (shot, files) = gathered(UpAxis::Y);
     let open = |index: usize| Ok(Cursor::new(&files[index]));
     let mut archive = Vec::new();
-    abc::write_sequence(&shot, 25.0, &provenance(), open, &mut archive).expect("written");
+    abc::write_sequence(&shot, None, 25.0, &provenance(), open, &mut archive).expect("written");
     let (layer, _) = usdc_shot(UpAxis::Y);
     let counts = frames().iter().map(|frame| u64::from(frame.sides)).sum::<u64>();
 

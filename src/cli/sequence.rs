@@ -102,8 +102,9 @@ fn report_sequence(path: &Path, shot: &SequenceReport, console: &mut Console) {
         console.warning(format_args!("{}: {note}", path.display()));
     }
     let frames = pluralize(shot.frame_count, "frame");
+    let points = shot.point_count.map(|count| format!(", {}", pluralize(count, "point"))).unwrap_or_default();
     console.print_line(format_args!(
-        "{}: a sequence file of {frames}, {} bytes",
+        "{}: a sequence file of {frames}{points}, {} bytes",
         path.display(),
         shot.size_bytes
     ));

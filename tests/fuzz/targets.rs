@@ -260,9 +260,9 @@ fn gltf_frame(bytes: &[u8]) {
     let Ok(file) = gltf::GlbFrame::read(&mut Cursor::new(bytes)) else { return };
     let frame = |code| gltf::SequenceFrame { name: "f".into(), code, file: file.clone() };
     let (shot, open) = ([frame(1), frame(3)], |_: usize| Ok(Cursor::new(bytes)));
-    let _ = usda::write_sequence(&shot, (24.0, 1.0), &[], open, &mut std::io::sink());
-    let _ = usdc::write_sequence(&shot, (24.0, 1.0), &[], open, &mut Cursor::new(Vec::new()));
-    let _ = abc::write_sequence(&shot, 24.0, &[], open, &mut std::io::sink());
+    let _ = usda::write_sequence(&shot, None, (24.0, 1.0), &[], open, &mut std::io::sink());
+    let _ = usdc::write_sequence(&shot, None, (24.0, 1.0), &[], open, &mut Cursor::new(Vec::new()));
+    let _ = abc::write_sequence(&shot, None, 24.0, &[], open, &mut std::io::sink());
     let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut std::io::sink());
 }
 

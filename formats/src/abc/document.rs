@@ -141,12 +141,14 @@ pub(super) struct AbcObject {
 }
 
 /// A property of an object, whose samples are already written.
+#[derive(Clone)]
 pub(super) struct AbcProperty {
     name: String,
     metadata: String,
     content: PropertyContent,
 }
 
+#[derive(Clone)]
 enum PropertyContent {
     Compound(Vec<AbcProperty>),
     /// There is either one sample for all times, or one per time.
@@ -183,6 +185,21 @@ impl AbcProperty {
         samples: Vec<StoredSample>,
     ) -> AbcProperty {
         AbcProperty::new(name, metadata, PropertyContent::Values { is_array: true, pod, extent, samples })
+    }
+
+    /// Appends the samples of the same property at later times.
+    pub(super) fn append(&mut self, later: &AbcProperty) {
+        match (&mut self.content, &later.content) {
+            (PropertyContent::Compound(properties), PropertyContent::Compound(later)) => {
+                properties.iter_mut().zip(later).for_each(|(property, later)| property.append(later));
+            }
+            (PropertyContent::Values { samples, .. }, PropertyContent::Values { samples: later, .. }) => {
+                samples.extend(later);
+            }
+            // They are the same property.
+            (PropertyContent::Compound(_), PropertyContent::Values { .. })
+            | (PropertyContent::Values { .. }, PropertyContent::Compound(_)) => {}
+        }
     }
 
     /// Writes the groups of the property. Returns a reference to it, and a hash of its content.
@@ -297,15 +314,15 @@ fn write_object(object: &AbcObject, times: &Times, ogawa: &mut Ogawa) -> Result<
 /// The number of children of the root group.
 pub(super) const ROOT_CHILDREN: u64 = 6;
 
-/// Writes an archive with one object under the top object. The metadata come first, so that readers find them
-/// in the head of the file.
+/// Writes an archive with objects under the top object. The metadata come first, so that readers find them in
+/// the head of the file.
 ///
 /// # Errors
-/// Those of `object` and `out`.
+/// Those of `objects` and `out`.
 pub(super) fn write_archive(
     provenance: &Provenance,
     times: &Times,
-    object: impl Fn(&mut Ogawa) -> Result<AbcObject>,
+    objects: impl Fn(&mut Ogawa) -> Result<Vec<AbcObject>>,
     out: &mut dyn Write,
 ) -> Result<()> {
     let metadata = metadata(provenance, times);
@@ -314,7 +331,7 @@ pub(super) fn write_archive(
         let file_version = ogawa.data(&FILE_VERSION.to_le_bytes())?;
         let library_version = ogawa.data(&LIBRARY_VERSION.to_le_bytes())?;
         let samplings = ogawa.data(&times.stored())?;
-        let (properties, children) = (Vec::new(), vec![object(ogawa)?]);
+        let (properties, children) = (Vec::new(), objects(ogawa)?);
         let top = AbcObject { name: "ABC".to_owned(), metadata: String::new(), properties, children };
         let (top, _) = write_object(&top, times, ogawa)?;
         Ok(vec![file_version, library_version, top, metadata, samplings, ogawa.data(&[])?])

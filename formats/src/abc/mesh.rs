@@ -23,9 +23,9 @@ use crate::options::UpAxis;
 pub(super) const TRANSFORM: &str = "surface";
 pub(super) const MESH: &str = "surfaceShape";
 
-/// The names of the objects of points beside a mesh.
-const POINTS: &str = "spray";
-const POINTS_SHAPE: &str = "sprayShape";
+/// The name of the transform of points beside a mesh: in the file of a frame, and in a sequence.
+pub(super) const POINTS: &str = "spray";
+pub(super) const SEQUENCE_POINTS: &str = "surface_spray";
 
 /// The transform of positions into a world with Y up. The positions are relative to `origin`; both use axes
 /// in which `up` points up.
@@ -228,13 +228,8 @@ pub(super) struct PointSamples {
 }
 
 impl PointSamples {
-    /// The points under a transform. `params` are the attributes without a property of their own in the schema.
-    pub(super) fn object(
-        self,
-        matrix: &Matrix,
-        params: Vec<AbcProperty>,
-        ogawa: &mut Ogawa,
-    ) -> Result<AbcObject> {
+    /// The properties of the schema. `params` are the attributes without a property of their own in the schema.
+    pub(super) fn properties(self, params: Vec<AbcProperty>) -> Vec<AbcProperty> {
         let real = (Pod::F32, 3);
         let mut geometry = vec![
             AbcProperty::scalar(".selfBnds", "interpretation=box", (Pod::F64, 6), vec![self.bounds]),
@@ -255,15 +250,25 @@ impl PointSamples {
         if !params.is_empty() {
             geometry.push(AbcProperty::compound(names::PARAMS, "", params));
         }
-        let schema = "schema=AbcGeom_Points_v1;schemaBaseType=AbcGeom_GeomBase_v1";
-        let points = AbcObject {
-            name: POINTS_SHAPE.to_owned(),
-            metadata: format!("{schema};schemaObjTitle=AbcGeom_Points_v1:.geom"),
-            properties: vec![AbcProperty::compound(names::GEOMETRY, schema, geometry)],
-            children: Vec::new(),
-        };
-        transformed(POINTS, matrix, points, ogawa)
+        geometry
     }
+}
+
+/// Points under a transform with this name. `geometry` are their [properties](PointSamples::properties).
+pub(super) fn points_object(
+    name: &str,
+    matrix: &Matrix,
+    geometry: Vec<AbcProperty>,
+    ogawa: &mut Ogawa,
+) -> Result<AbcObject> {
+    let schema = "schema=AbcGeom_Points_v1;schemaBaseType=AbcGeom_GeomBase_v1";
+    let points = AbcObject {
+        name: format!("{name}Shape"),
+        metadata: format!("{schema};schemaObjTitle=AbcGeom_Points_v1:.geom"),
+        properties: vec![AbcProperty::compound(names::GEOMETRY, schema, geometry)],
+        children: Vec::new(),
+    };
+    transformed(name, matrix, points, ogawa)
 }
 
 /// Alembic's code for a transform that is given as a matrix.

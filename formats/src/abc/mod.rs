@@ -2,6 +2,7 @@
 //!
 //! ```text
 //!   archive ── surface: Xform ── surfaceShape: PolyMesh
+//!      │ └─ surface_spray: Xform ── surface_sprayShape: Points     in a sequence with points beside its meshes
 //!      └ metadata: provenance
 //! ```
 //!
@@ -22,6 +23,7 @@ use std::borrow::Cow;
 use std::io::{self, Read, Seek, Write};
 
 pub(crate) use archive::HDF5;
+pub(crate) use points::read_own_points;
 pub use points::read_points;
 pub use read::{read_mesh, read_sample, read_sequence_info, read_times};
 
@@ -43,13 +45,14 @@ use crate::options::{MeshOptions, UpAxis, WriteOption};
 use crate::provenance::are_points;
 use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleReader};
 use crate::sequence::{check_numbers, held_times};
+use crate::sequence_points::SequencePoints;
 use crate::vertex_attributes::{
     Purpose, UsedNames, check_quads, faces, plain_name, purposes, quad_count, string_index, texture_of,
 };
 use document::{AbcObject, AbcProperty, MAGIC, Ogawa, Pod, StoredSample, Times, write_archive};
 use mesh::{
-    FrameSamples, MeshSamples, ParamType, PointSamples, bounds, bounds_sample, names, real_sample, to_world,
-    triangle_samples,
+    FrameSamples, MeshSamples, POINTS, ParamType, PointSamples, SEQUENCE_POINTS, bounds, bounds_sample,
+    names, points_object, real_sample, to_world, triangle_samples,
 };
 use read::{
     SampledMesh, bytes_declared, check_single_frame, own_head, own_mesh, read_provenance, rows_of_corners,
@@ -99,7 +102,8 @@ pub fn write(
     check_quads(FORMAT, mesh, &options.quads)?;
     check_vertex_count(mesh.positions.len() as u64)?;
     let names = names_of(mesh.attributes);
-    write_archive(provenance, &Times::Static, |ogawa| object(mesh, options, &names, ogawa), out)
+    let objects = |ogawa: &mut Ogawa| Ok(vec![object(mesh, options, &names, ogawa)?]);
+    write_archive(provenance, &Times::Static, objects, out)
 }
 
 /// Fails if indices do not fit into 31 bits.
@@ -149,7 +153,8 @@ fn object(mesh: &MeshView, options: &MeshOptions, names: &[String], ogawa: &mut 
         velocities: None,
     };
     let params;
-    (frame.velocities, params) = attribute_samples(mesh.attributes, names, ogawa)?;
+    let are_wide = are_wide(mesh.attributes);
+    (frame.velocities, params) = attribute_samples(mesh.attributes, names, &are_wide, ogawa)?;
     let texture =
         texture_of(mesh).map(|texture| texture_property(texture, &options.quads, ogawa)).transpose()?;
     let mut samples = MeshSamples::at(to_world(options.up, mesh.origin));
@@ -182,14 +187,26 @@ fn face_samples(triangles: &[[u32; 3]], quads: &[bool], ogawa: &mut Ogawa) -> Re
     }
 }
 
+/// For each attribute, whether it has integers that need 64 bits.
+fn are_wide(attributes: &[VertexAttribute]) -> Vec<bool> {
+    let is_wide = |attribute: &VertexAttribute| match attribute.values {
+        VertexValues::Integers(values) => values.iter().any(|&value| i32::try_from(value).is_err()),
+        VertexValues::Numbers(_) | VertexValues::Strings { .. } => false,
+    };
+    attributes.iter().map(is_wide).collect()
+}
+
 /// The velocities, and the other attributes under these names.
 fn attribute_samples(
     attributes: &[VertexAttribute],
     names: &[String],
+    are_wide: &[bool],
     ogawa: &mut Ogawa,
 ) -> Result<(Option<StoredSample>, Vec<AbcProperty>)> {
     let (mut velocities, mut params) = (None, Vec::new());
-    for ((attribute, purpose), name) in attributes.iter().zip(purposes(attributes)).zip(names) {
+    for (((attribute, purpose), name), is_wide) in
+        attributes.iter().zip(purposes(attributes)).zip(names).zip(are_wide)
+    {
         match (purpose, attribute.values) {
             (Purpose::Velocity, VertexValues::Numbers(values)) => {
                 velocities = Some(real_sample(values, (values.len() as u64 / 3, 3), ogawa)?);
@@ -202,7 +219,7 @@ fn attribute_samples(
                 params.push(reals(name, ParamType::numbers(attribute.arity), values, ogawa)?);
             }
             (_, VertexValues::Integers(values)) => {
-                params.push(integers(name, attribute.arity, values, ogawa)?);
+                params.push(integers(name, attribute.arity, (values, *is_wide), ogawa)?);
             }
             (_, VertexValues::Strings { table, indices }) => {
                 params.push(strings(name, attribute.arity, (table, indices), ogawa)?);
@@ -229,22 +246,32 @@ pub fn write_particles(
 ) -> Result<()> {
     let points = NarrowPoints::of(frame, FORMAT)?;
     let others = points.others();
-    let names = names_of(&others);
+    let (names, are_wide) = (names_of(&others), are_wide(&others));
     let matrix = to_world(options.up, points.origin);
-    let object = |ogawa: &mut Ogawa| {
-        let count = points.positions.len() as u64;
-        let bounds = bounds_sample(bounds(&points.positions), ogawa)?;
-        let positions = real_sample(points.positions.as_flattened(), (count, 3), ogawa)?;
-        let ids = ogawa.sample(count, 8 * count, &mut |out| match &points.ids {
-            Some(ids) => write_pieces(ids, i64::to_le_bytes, out),
-            None => write_pieces(&(0..count).collect::<Vec<u64>>(), u64::to_le_bytes, out),
-        })?;
-        let widths =
-            points.widths.as_ref().map(|widths| real_sample(widths, (count, 1), ogawa)).transpose()?;
-        let (velocities, params) = attribute_samples(&others, &names, ogawa)?;
-        PointSamples { bounds, positions, ids, velocities, widths }.object(&matrix, params, ogawa)
+    let objects = |ogawa: &mut Ogawa| {
+        let geometry = point_geometry(&points, &names, &are_wide, ogawa)?;
+        Ok(vec![points_object(POINTS, &matrix, geometry, ogawa)?])
     };
-    write_archive(provenance, &Times::Static, object, out)
+    write_archive(provenance, &Times::Static, objects, out)
+}
+
+/// The properties of points, with a sample of each. The attributes other than ids and widths get these names.
+fn point_geometry(
+    points: &NarrowPoints,
+    names: &[String],
+    are_wide: &[bool],
+    ogawa: &mut Ogawa,
+) -> Result<Vec<AbcProperty>> {
+    let count = points.positions.len() as u64;
+    let bounds = bounds_sample(bounds(&points.positions), ogawa)?;
+    let positions = real_sample(points.positions.as_flattened(), (count, 3), ogawa)?;
+    let ids = ogawa.sample(count, 8 * count, &mut |out| match &points.ids {
+        Some(ids) => write_pieces(ids, i64::to_le_bytes, out),
+        None => write_pieces(&(0..count).collect::<Vec<u64>>(), u64::to_le_bytes, out),
+    })?;
+    let widths = points.widths.as_ref().map(|widths| real_sample(widths, (count, 1), ogawa)).transpose()?;
+    let (velocities, params) = attribute_samples(&points.others(), names, are_wide, ogawa)?;
+    Ok(PointSamples { bounds, positions, ids, velocities, widths }.properties(params))
 }
 
 /// Notes on attributes that a file does not hold exactly.
@@ -260,9 +287,14 @@ fn reals(name: &str, kind: ParamType, values: &[f32], ogawa: &mut Ogawa) -> Resu
     Ok(kind.property(name, vec![sample]))
 }
 
-fn integers(name: &str, arity: usize, values: &[i64], ogawa: &mut Ogawa) -> Result<AbcProperty> {
+fn integers(
+    name: &str,
+    arity: usize,
+    (values, is_wide): (&[i64], bool),
+    ogawa: &mut Ogawa,
+) -> Result<AbcProperty> {
     let count = values.len() as u64;
-    if values.iter().any(|&value| i32::try_from(value).is_err()) {
+    if is_wide {
         let sample =
             ogawa.sample(count, 8 * count, &mut |out| write_pieces(values, i64::to_le_bytes, out))?;
         return Ok(ParamType::many(Pod::I64, arity).property(name, vec![sample]));
@@ -347,37 +379,47 @@ fn polygon_samples(
     Ok([corners, counts])
 }
 
-// Writes a sequence as one mesh with one or two samples per frame.
+// Writes a sequence as one mesh, and the points beside it, with one or two samples per frame.
 //
 //   frames    5    6      9    10        6 is shown until 9
 //   samples   5    6   8.99    9    10   8.99 refers to the data of 6
 //
 // At a time between two samples, programs show the mesh of the earlier or of the nearer one, or blend the
 // two if they have the same number of vertices. Where frames are missing or have the same number of
-// vertices, the second sample, just before the next frame, prevents this. Frame n is at n / fps seconds.
+// vertices or of points, the second sample, just before the next frame, prevents this. Frame n is at n / fps
+// seconds.
 //
 // The writer reads each array of a frame from the frame's file, a `.glb` of this crate, just before writing
-// the array. So only one array of one frame is in memory at a time.
+// the array. So only one array of one frame, or the points of one frame, are in memory at a time.
 
-/// Writes a sequence of frames, whose numbers must increase. `open` opens the file of a frame, by its index.
-/// Returns notes on attributes that are renamed, or omitted because the frames differ in them.
+/// Writes a sequence of frames, whose numbers must increase, and the points beside their meshes. `open` opens the
+/// file of a frame, by its index. Returns notes on attributes that are renamed, or omitted because the frames
+/// differ in them.
 ///
 /// # Errors
 ///
 /// [`Error::Io`] if a file cannot be read or `out` fails; [`Error::Invalid`] if a document is damaged, a file
 /// changed, numbers do not increase, or there are no frames; [`Error::Unsupported`] for numbers beyond 2⁵³;
-/// [`Error::TooLarge`] for a frame with more than 2³¹ vertices.
+/// [`Error::TooLarge`] for a frame with more than 2³¹ vertices; those of reading the points.
 pub fn write_sequence<R: Read + Seek>(
     frames: &[SequenceFrame],
+    points: Option<&SequencePoints>,
     fps: f64,
     provenance: &Provenance,
     open: impl Fn(usize) -> io::Result<R>,
     out: &mut impl Write,
 ) -> Result<Vec<String>> {
-    let (attributes, notes) = sequence_attributes(frames)?;
-    let sequence = AbcSequence { frames, placement: SequencePlacement::of(frames, FORMAT)?, attributes };
+    let (attributes, mut notes) = sequence_attributes(frames)?;
+    let placement = SequencePlacement::of(frames, points.is_some(), FORMAT)?;
+    let sequence = AbcSequence { frames, placement, attributes, points };
     let times = Times::Frames { times: sequence.times()?, fps };
-    write_archive(provenance, &times, |ogawa| sequence.object(&open, ogawa), out)?;
+    let objects = |ogawa: &mut Ogawa| {
+        let mut objects = vec![sequence.object(&open, ogawa)?];
+        objects.extend(points.map(|points| sequence.points_object(points, ogawa)).transpose()?);
+        Ok(objects)
+    };
+    write_archive(provenance, &times, objects, out)?;
+    notes.extend(points.into_iter().flat_map(SequencePoints::notes).cloned());
     Ok(notes)
 }
 
@@ -394,6 +436,7 @@ struct AbcSequence<'a> {
     placement: SequencePlacement,
     /// All attributes to write, including the velocities.
     attributes: Vec<AbcAttribute>,
+    points: Option<&'a SequencePoints<'a>>,
 }
 
 impl AbcSequence<'_> {
@@ -412,10 +455,34 @@ impl AbcSequence<'_> {
     /// The times of the samples of a frame, in frames.
     fn times_of(&self, index: usize) -> impl Iterator<Item = f64> {
         let frame = &self.frames[index];
+        let has_as_many_points = self.points.is_some_and(|points| points.is_as_large_as_next(index));
         let needs_hold = |next: &&SequenceFrame| {
-            next.code - frame.code > 1 || next.file.vertex_count() == frame.file.vertex_count()
+            next.code - frame.code > 1
+                || next.file.vertex_count() == frame.file.vertex_count()
+                || has_as_many_points
         };
         held_times(frame.code, self.frames.get(index + 1).filter(needs_hold).map(|next| next.code))
+    }
+
+    /// The points beside the meshes.
+    fn points_object(&self, points: &SequencePoints, ogawa: &mut Ogawa) -> Result<AbcObject> {
+        let template = points.template();
+        let typed = NarrowPoints::of(&template, FORMAT)?;
+        let (names, are_wide) = (names_of(&typed.others()), are_wide(&typed.others()));
+        let mut all: Vec<AbcProperty> = Vec::new();
+        for index in 0..self.frames.len() {
+            let frame = points.frame(index)?;
+            let frame = NarrowPoints::around(&frame, points.origin, FORMAT)?;
+            let geometry = point_geometry(&frame, &names, &are_wide, ogawa)?;
+            for _ in self.times_of(index) {
+                if all.is_empty() {
+                    all.clone_from(&geometry);
+                } else {
+                    all.iter_mut().zip(&geometry).for_each(|(property, later)| property.append(later));
+                }
+            }
+        }
+        points_object(SEQUENCE_POINTS, &to_world(self.placement.up, points.origin), all, ogawa)
     }
 
     fn object<R: Read + Seek>(

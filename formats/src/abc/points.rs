@@ -10,8 +10,10 @@
 
 use super::FORMAT;
 use super::archive::{PropertyHeader, entry};
-use super::mesh::names;
-use super::read::MESHES;
+use super::document::Pod;
+use super::mesh::{names, to_world};
+use super::placement;
+use super::read::{MESHES, is_own_sequence};
 use super::scene::{Geometry, GeometryKind, Scene, vectors};
 use crate::batches::ReadAt;
 use crate::container::{ContainerFile, ContainerReader, Sample, frame_at};
@@ -20,6 +22,7 @@ use crate::error::Result;
 use crate::limits::Limits;
 use crate::matrix::{IDENTITY, Matrix, change_vectors, determinant, normal_transform, transformed};
 use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
+use crate::options::UpAxis;
 use crate::text::excerpt;
 
 pub(super) const READER: ContainerReader = ContainerReader {
@@ -40,7 +43,8 @@ fn samples(file: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>> {
 
 /// The times of the samples; a single `None` if there is one sample, without a time.
 fn times(scene: &Scene, limits: &Limits) -> Result<Vec<Option<f64>>> {
-    if scene.of_kind(GeometryKind::Points).next().is_none() {
+    // The points of our sequences are beside meshes, and repeated before the next frame.
+    if scene.of_kind(GeometryKind::Points).next().is_none() || is_own_sequence(scene)? {
         return Err(scene.without(GeometryKind::Points));
     }
     let times = scene.times(GeometryKind::Points, limits)?;
@@ -75,12 +79,33 @@ pub fn read_points(bytes: &[u8], index: usize, limits: &Limits) -> Result<Partic
     read_sample(&bytes, index, limits)
 }
 
+/// Reads the points of an archive of this crate with one sample in the axes in which they were given to the writer.
+///
+/// # Errors
+///
+/// Those of [`read_points`]; [`Invalid`](crate::Error::Invalid) if the transform is not one that this crate writes.
+pub(crate) fn read_own_points(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+    let mut frame = read_placed(&bytes, 0, true, limits)?;
+    for attribute in &mut frame.attributes {
+        // The last string of the file marks missing values.
+        if let Values::Strings { table, .. } = &mut attribute.values {
+            table.pop();
+        }
+    }
+    Ok(frame)
+}
+
 fn read_sample(file: &dyn ReadAt, index: usize, limits: &Limits) -> Result<ParticleFrame> {
+    read_placed(file, index, false, limits)
+}
+
+/// Reads the particles of a sample. Those that `are_own` keep their axes, and have ids of 64 bits with a sign.
+fn read_placed(file: &dyn ReadAt, index: usize, are_own: bool, limits: &Limits) -> Result<ParticleFrame> {
     let scene = Scene::open(file, limits)?;
     let times = times(&scene, limits)?;
     let time = *frame_at(FORMAT, &times, index)?;
     let (mut parts, mut notes, mut hidden, mut count) = (Vec::new(), Vec::new(), 0, 0);
-    let mut reader = PointsReader { scene: &scene, time, limits, notes: &mut notes };
+    let mut reader = PointsReader { scene: &scene, time, are_own, limits, notes: &mut notes };
     for points in scene.of_kind(GeometryKind::Points) {
         if !scene.is_visible(points, time)? {
             hidden += 1;
@@ -105,6 +130,8 @@ fn read_sample(file: &dyn ReadAt, index: usize, limits: &Limits) -> Result<Parti
 struct PointsReader<'a> {
     scene: &'a Scene<'a>,
     time: Option<f64>,
+    /// See [`read_placed`].
+    are_own: bool,
     limits: &'a Limits,
     notes: &'a mut Vec<String>,
 }
@@ -112,7 +139,10 @@ struct PointsReader<'a> {
 impl PointsReader<'_> {
     fn part(&mut self, points: &Geometry) -> Result<ParticlePart> {
         let archive = &self.scene.archive;
-        let matrix = self.scene.world(points, self.time)?;
+        let mut matrix = self.scene.world(points, self.time)?;
+        if self.are_own {
+            matrix = to_world(UpAxis::Y, placement(&matrix)?.1);
+        }
         let positions = points.required(names::POSITIONS)?;
         let local = vectors(self.scene, positions, archive.index_at(positions, self.time))?;
         let count = local.len();
@@ -153,7 +183,14 @@ impl PointsReader<'_> {
         matrix: &Matrix,
     ) -> Result<Option<NamedArray>> {
         let is_constant = entry(&property.metadata, "geoScope") == "con";
-        let (arity, mut values) = self.scene.archive.param(property, self.time)?;
+        let archive = &self.scene.archive;
+        let (arity, mut values) = if self.are_own && property.name == names::IDS {
+            let ids =
+                archive.elements::<8>(property, (Pod::U64, 1), archive.index_at(property, self.time))?;
+            (1, Values::I64(ids.into_iter().map(i64::from_le_bytes).collect()))
+        } else {
+            archive.param(property, self.time)?
+        };
         if values.len() == 0 && count > 0 {
             return Ok(None); // the library writes empty arrays for those that it was not given
         }

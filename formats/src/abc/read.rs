@@ -160,6 +160,12 @@ fn frames_of(provenance: &[(String, String)]) -> Result<Option<u64>> {
     frames.transpose()
 }
 
+/// Whether an archive is a sequence of this crate.
+pub(super) fn is_own_sequence(scene: &Scene) -> Result<bool> {
+    let provenance = own_metadata(&scene.archive.metadata).unwrap_or_default();
+    Ok(frames_of(&provenance)?.is_some())
+}
+
 /// Fails for a sequence, because it is unknown which of its meshes to use.
 pub(super) fn check_single_frame(scene: &Scene, limits: &Limits) -> Result<()> {
     let provenance = own_metadata(&scene.archive.metadata).unwrap_or_default();

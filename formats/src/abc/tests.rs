@@ -28,7 +28,7 @@ const FRAMES: [f64; 3] = [1.0, 2.0, 4.0];
 fn points_archive() -> Vec<u8> {
     let mut bytes = Vec::new();
     let times = Times::Frames { times: FRAMES.into(), fps: 24.0 };
-    write_archive(&[], &times, root, &mut bytes).expect("written");
+    write_archive(&[], &times, |ogawa| Ok(vec![root(ogawa)?]), &mut bytes).expect("written");
     bytes
 }
 
@@ -167,7 +167,7 @@ fn attributes_have_their_usual_names_and_are_rotated() {
     let object = |ogawa: &mut Ogawa| {
         let mut root = root(ogawa)?;
         root.children.truncate(1);
-        Ok(root)
+        Ok(vec![root])
     };
     write_archive(&[], &Times::Frames { times: FRAMES.into(), fps: 24.0 }, object, &mut bytes)
         .expect("written");
@@ -269,7 +269,7 @@ fn meshes_are_read_at_a_time() {
                 velocities: None,
             });
         }
-        samples.object(None, Vec::new(), ogawa)
+        Ok(vec![samples.object(None, Vec::new(), ogawa)?])
     };
     write_archive(&[], &Times::Frames { times: FRAMES.into(), fps: 24.0 }, mesh, &mut bytes)
         .expect("written");

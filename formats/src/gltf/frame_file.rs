@@ -10,7 +10,7 @@ use super::sequence::SequenceFrame;
 use super::write::usual_name;
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, component};
 use crate::error::{Error, Position, Result};
-use crate::options::UpAxis;
+use crate::options::{UpAxis, WriteOption};
 
 /// A frame of a sequence.
 #[derive(Clone, Debug)]
@@ -140,6 +140,13 @@ impl GlbFrame {
             }
         }
         Ok(())
+    }
+
+    /// The provenance of the frame.
+    pub fn provenance(&self) -> Vec<(String, String)> {
+        let recorded = self.document["asset"]["extras"]["meniscus"].as_object();
+        let pair = |(name, value): (&String, &Value)| Some((name.clone(), value.as_str()?.to_owned()));
+        recorded.into_iter().flatten().filter_map(pair).collect()
     }
 
     /// Whether the frame has a mesh.
@@ -366,12 +373,17 @@ pub(crate) struct SequencePlacement {
 }
 
 impl SequencePlacement {
-    /// The placement of these frames.
+    /// The placement of these frames. Without any mesh, points beside them have the axes that the first frame was
+    /// made with.
     ///
     /// # Errors
     ///
     /// [`Error::Invalid`] if a document is damaged, or if frames differ in their up axis.
-    pub(crate) fn of(frames: &[SequenceFrame], format: &'static str) -> Result<SequencePlacement> {
+    pub(crate) fn of(
+        frames: &[SequenceFrame],
+        has_points: bool,
+        format: &'static str,
+    ) -> Result<SequencePlacement> {
         let mut first = None;
         for frame in frames.iter().filter(|frame| frame.file.has_mesh()) {
             let placement = frame.file.placement()?;
@@ -380,7 +392,13 @@ impl SequencePlacement {
                 return Err(Error::invalid(format, Position::File, what));
             }
         }
-        Ok(first.unwrap_or_default())
+        let of_points = || {
+            let recorded = frames.first().filter(|_| has_points)?.file.provenance();
+            let (_, up) = recorded.iter().find(|(name, _)| name == WriteOption::Up.name())?;
+            let up = if up == UpAxis::Z.name() { UpAxis::Z } else { UpAxis::Y };
+            Some(SequencePlacement { up, ..SequencePlacement::default() })
+        };
+        Ok(first.or_else(of_points).unwrap_or_default())
     }
 
     /// What must be added to the positions of a frame.

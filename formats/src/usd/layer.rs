@@ -257,6 +257,17 @@ impl<'a> Layer<'a> {
         Ok(self.field(node, name)?.and_then(|value| value.number()))
     }
 
+    /// The value of an entry, if the value of a field is a dictionary that has it.
+    pub(crate) fn entry(&self, dictionary: &Option<Value>, name: &str) -> Result<Option<Value>> {
+        match dictionary {
+            Some(Value::Dictionary(entries)) => {
+                let found = entries.iter().find(|(key, _)| key == name);
+                found.map(|(_, value)| self.resolved(value, name)).transpose()
+            }
+            _ => Ok(None),
+        }
+    }
+
     /// The strings in a value.
     pub(crate) fn words(&self, value: &Value) -> Result<Vec<String>> {
         Ok(match value {

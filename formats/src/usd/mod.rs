@@ -24,7 +24,7 @@ use crate::narrow_points::NarrowPoints;
 use crate::provenance::are_points;
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, texture_of};
 
-pub(crate) use sequence::{SequenceAttribute, UsdSequence};
+pub(crate) use sequence::{SequenceAttribute, UsdSequence, UsdSequencePoints};
 
 /// The format's name in errors.
 pub(crate) const FORMAT: &str = "USD";
@@ -38,6 +38,12 @@ pub(crate) const PRIM: &str = "surface";
 
 /// The name of the points beside a mesh.
 pub(crate) const POINTS_PRIM: &str = "spray";
+
+/// The name of the points beside the mesh of a sequence.
+pub(crate) const SEQUENCE_POINTS_PRIM: &str = "surface_spray";
+
+/// The type of the prims of points.
+pub(crate) const POINTS_KIND: &str = "Points";
 
 /// The property with the origin of the mesh.
 pub(crate) const TRANSLATE: &str = "xformOp:translate";
@@ -189,6 +195,15 @@ impl<'a> MeshProperty<'a> {
         MeshProperty::new(kind, name, PropertyValue::Array(elements))
     }
 
+    /// Makes integers 64 bits wide.
+    fn widen(&mut self) {
+        if let PropertyValue::Array(Elements::Integers { arity, is_narrow, .. }) = &mut self.value {
+            self.element_size *= *arity;
+            (*arity, *is_narrow) = (1, false);
+            "int64[]".clone_into(&mut self.kind);
+        }
+    }
+
     /// Whether its value never depends on the time.
     pub(crate) fn is_uniform(&self) -> bool {
         matches!(self.value, PropertyValue::Token(_) | PropertyValue::TokenList(_))
@@ -238,7 +253,7 @@ pub(crate) fn point_properties<'a>(
     is_clip: bool,
 ) -> Vec<MeshProperty<'a>> {
     let mut found = Vec::new();
-    let radius = points.widths.iter().flatten().fold(0.0, |most: f32, width| most.max(0.5 * width));
+    let radius = points.radius();
     if let Some([low, high]) = bounds_of(&points.positions) {
         let extent = [low.map(|along| along - radius), high.map(|along| along + radius)];
         found.push(MeshProperty::new("float3[]", "extent", PropertyValue::Extent(extent)));

@@ -19,6 +19,7 @@ use crate::columns::role_of;
 use crate::container::{ContainerFile, ContainerReader, Sample, frame_at};
 use crate::data::{AttributeRole, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
+use crate::gltf::SEQUENCE_FRAMES;
 use crate::limits::Limits;
 use crate::matrix::{IDENTITY, Matrix, change_vectors, determinant, normal_transform, transformed};
 use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
@@ -158,7 +159,8 @@ impl PointPrims {
                 .notes
                 .push(format!("skipped prims for purposes other than rendering: {}", excerpts(&unrendered)));
         }
-        if !found.prims.is_empty() {
+        let is_sequence = others.contains_key("Mesh") && is_own_sequence(stage)?;
+        if !found.prims.is_empty() && !is_sequence {
             return Ok(found);
         }
         if others.contains_key("Mesh") {
@@ -173,6 +175,14 @@ impl PointPrims {
         );
         Err(Error::unsupported(FORMAT, what))
     }
+}
+
+/// Whether the stage is a sequence file of this crate: its points are beside meshes, and repeated before the next frame.
+fn is_own_sequence(stage: &ComposedStage) -> Result<bool> {
+    stage.root_layer(|layer| {
+        let recorded = layer.entry(&layer.field(0, "customLayerData")?, "meniscus")?;
+        Ok(layer.entry(&recorded, SEQUENCE_FRAMES)?.is_some())
+    })
 }
 
 fn read_prim(

@@ -42,12 +42,14 @@ use crate::gltf::SequenceFrame;
 use crate::narrow_points::{NarrowPoints, not_finite_notes};
 use crate::options::{MeshOptions, WriteOption};
 use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
+use crate::sequence_points::SequencePoints;
 use crate::text::{NumberWriter, ends_with_line};
 use crate::usd::mesh::read_alone;
 use crate::usd::points::READER;
 use crate::usd::{
-    Elements, FORMAT, MeshProperty, POINTS_PRIM, PRIM, PropertyValue, SAMPLE_CODE, SequenceAttribute,
-    TRANSLATE, UsdSequence, attribute_of, point_properties, properties, renamed,
+    Elements, FORMAT, MeshProperty, POINTS_KIND, POINTS_PRIM, PRIM, PropertyValue, SAMPLE_CODE,
+    SEQUENCE_POINTS_PRIM, SequenceAttribute, TRANSLATE, UsdSequence, UsdSequencePoints, attribute_of,
+    point_properties, properties, renamed,
 };
 use crate::vertex_attributes::{check_quads, faces, plain_name, quad_count, string_index};
 pub(crate) use head::read_provenance;
@@ -158,7 +160,7 @@ pub fn write_particles(
     let texts = tasks(&sections);
     let sampled = if has_samples { varying(properties) } else { Vec::new() };
     let head = head(provenance, (None, &sampled), (options.up, options.meters_per_unit), "");
-    write!(out, "{head}    def Points \"{POINTS_PRIM}\"\n    {{\n")?;
+    write!(out, "{head}    def {POINTS_KIND} \"{POINTS_PRIM}\"\n    {{\n")?;
     for tasks in texts.chunks(TASKS_AT_ONCE) {
         let texts: Vec<Vec<u8>> = tasks.par_iter().map(|task| task.text(&sections)).collect();
         texts.iter().try_for_each(|text| out.write_all(text))?;
@@ -213,14 +215,16 @@ impl<'a> PropertyText<'a> {
             PropertyValue::Double3(values) => triple(*values),
             PropertyValue::Token(word) => format!("\"{word}\""),
             PropertyValue::TokenList(word) => format!("[\"{word}\"]"),
-            PropertyValue::StringTable(table) => {
-                let distinct: Vec<String> =
-                    table.iter().map(|text| quoted(text)).chain([quoted("")]).collect();
-                format!("[{}]", distinct.join(", "))
-            }
+            PropertyValue::StringTable(table) => format!("[{}]", distinct(table)),
         };
         PropertyText { open: before + &value + &after, elements: None, close: String::new() }
     }
+}
+
+/// The elements of the table of an indexed primvar.
+fn distinct(table: &[String]) -> String {
+    let distinct: Vec<String> = table.iter().map(|text| quoted(text)).chain([quoted("")]).collect();
+    distinct.join(", ")
 }
 
 /// The metadata of a property in parentheses, preceded by a space; empty if it has none.
@@ -292,25 +296,26 @@ fn tasks(sections: &[PropertyText]) -> Vec<TextTask> {
 // frame has the same number of vertices, the sample is repeated just before it, so that USD does not blend
 // them.
 
-/// Writes a sequence of frames, whose numbers become the time codes and must increase. `open` opens the file
-/// of the frame with the given index. Returns notes on attributes that are omitted because the frames differ
-/// in them.
+/// Writes a sequence of frames, whose numbers become the time codes and must increase, and the points beside
+/// their meshes. `open` opens the file of the frame with the given index. Returns notes on attributes that are
+/// omitted because the frames differ in them.
 ///
 /// # Errors
 ///
 /// [`Error::Io`](crate::Error::Io) if a file cannot be read or `out` fails;
 /// [`Error::Invalid`](crate::Error::Invalid) if a document is damaged, numbers do not increase, or frames
-/// differ in their up axis; [`Error::Unsupported`](crate::Error::Unsupported) for numbers beyond 2⁵³.
+/// differ in their up axis; those of reading the points; [`Error::Unsupported`](crate::Error::Unsupported) for numbers beyond 2⁵³.
 pub fn write_sequence<R: Read + Seek>(
     frames: &[SequenceFrame],
+    points: Option<&SequencePoints>,
     (fps, meters_per_unit): (f64, f64),
     provenance: &Provenance,
     open: impl Fn(usize) -> io::Result<R>,
     out: &mut impl Write,
 ) -> Result<Vec<String>> {
-    let shot = UsdSequence::of(frames)?;
+    let shot = UsdSequence::of(frames, points.is_some())?;
     let info = shot.layer_info()?;
-    let (attributes, notes) = shot.attributes()?;
+    let (attributes, mut notes) = shot.attributes()?;
     let head = head(
         provenance,
         (Some(&info), &[]),
@@ -319,10 +324,8 @@ pub fn write_sequence<R: Read + Seek>(
     );
     write!(out, "{head}    def Mesh \"{PRIM}\"\n    {{\n")?;
 
-    write_lines(&shot, "float3[] extent", out, |index| {
-        let [low, high] = shot.extent(index)?;
-        Ok(format!("[{}, {}]", triple(low), triple(high)))
-    })?;
+    let extent = |index| Ok((extent_text(shot.extent(index)?), shot.held_codes(index)));
+    write_lines("float3[] extent", 0..frames.len(), out, extent)?;
     write_samples(&shot, "int[] faceVertexCounts", out, |index| {
         let triangles = vec![[0; 3]; frames[index].file.triangle_count()?];
         Ok(Elements::FaceCounts { triangles: &triangles, quads: &[] }.texts())
@@ -347,26 +350,79 @@ pub fn write_sequence<R: Read + Seek>(
         })?;
     }
     out.write_all(b"        uniform token subdivisionScheme = \"none\"\n")?;
-    if let Some(origin) = shot.origin() {
+    write_origin(shot.origin(), out)?;
+    out.write_all(b"    }\n")?;
+    let mut counted = String::new();
+    if let Some(points) = points.map(|points| UsdSequencePoints::of(&shot, points)) {
+        write_points(&points, out)?;
+        notes.extend_from_slice(points.notes());
+        counted = format!(", {} points", points.total());
+    }
+    let (count, vertices, faces) = (frames.len(), info.vertices, info.faces);
+    write!(out, "}}\n\n{LAST_LINE}{count} frames, {vertices} vertices, {faces} faces{counted}\n")?;
+    Ok(notes)
+}
+
+/// Writes the prim of the points beside the meshes, whose properties have a sample per frame, like those of the mesh.
+fn write_points(points: &UsdSequencePoints, out: &mut impl Write) -> Result<()> {
+    write!(out, "\n    def {POINTS_KIND} \"{SEQUENCE_POINTS_PRIM}\"\n    {{\n")?;
+    let extent = |index| Ok((extent_text(points.extent(index)), points.held_codes(index)));
+    write_lines("float3[] extent", points.frames(), out, extent)?;
+    points.with_template(|properties| {
+        for (place, MeshProperty { kind, name, interpolation, element_size, .. }) in
+            properties.iter().enumerate()
+        {
+            if interpolation.is_some() {
+                writeln!(out, "        {kind} {name}{}", about(*interpolation, *element_size))?;
+            }
+            write_arrays(&format!("{kind} {name}"), points.frames(), out, |index| {
+                let texts = points.with_properties(index, |properties| Ok(texts_of(&properties[place])))?;
+                Ok((texts, points.point_codes(index)))
+            })?;
+        }
+        Ok(())
+    })?;
+    write_origin(points.origin(), out)?;
+    Ok(out.write_all(b"    }\n")?)
+}
+
+/// The text of the elements of a property with a value per point, in pieces.
+fn texts_of(property: &MeshProperty) -> Vec<Vec<u8>> {
+    match &property.value {
+        PropertyValue::Array(elements) => elements.texts(),
+        PropertyValue::StringTable(table) => vec![distinct(table).into_bytes()],
+        // Points have no others.
+        _ => Vec::new(),
+    }
+}
+
+fn extent_text([low, high]: [[f32; 3]; 2]) -> String {
+    format!("[{}, {}]", triple(low), triple(high))
+}
+
+/// Writes the translation to the origin, if there is one.
+fn write_origin(origin: Option<[f64; 3]>, out: &mut impl Write) -> Result<()> {
+    if let Some(origin) = origin {
         writeln!(out, "        double3 {TRANSLATE} = {}", triple(origin))?;
         writeln!(out, "        uniform token[] xformOpOrder = [\"{TRANSLATE}\"]")?;
     }
-    let (count, vertices, faces) = (frames.len(), info.vertices, info.faces);
-    write!(out, "    }}\n}}\n\n{LAST_LINE}{count} frames, {vertices} vertices, {faces} faces\n")?;
-    Ok(notes)
+    Ok(())
 }
 
 /// The end of the line before the samples of a property.
 const SAMPLES: &str = ".timeSamples = {";
 
-/// The names of the vertex attributes of a sequence of this crate, except normals.
+/// The names of the vertex attributes of a sequence of this crate, except normals and those of points.
 pub fn read_attribute_names(bytes: &[u8]) -> Vec<String> {
     let name = |line: &[u8]| {
         let property = line.strip_suffix(SAMPLES.as_bytes())?;
         let (_, name) = std::str::from_utf8(property).ok()?.rsplit_once(' ')?;
         Some(attribute_of(name)?.to_owned())
     };
-    bytes.split(|&byte| byte == b'\n').filter_map(name).collect()
+    let lines = bytes.split(|&byte| byte == b'\n');
+    let of_mesh =
+        lines.skip_while(|line| !line.starts_with(b"    def Mesh ")).take_while(|line| *line != b"    }");
+    of_mesh.filter_map(name).collect()
 }
 
 /// Writes an array with samples of each frame, formatted by `texts`; they are empty for a frame without a
@@ -377,10 +433,23 @@ fn write_samples(
     out: &mut impl Write,
     mut texts: impl FnMut(usize) -> Result<Vec<Vec<u8>>>,
 ) -> Result<()> {
+    write_arrays(name, 0..shot.frames.len(), out, |index| {
+        let texts = if shot.frames[index].file.has_mesh() { texts(index)? } else { Vec::new() };
+        Ok((texts, shot.vertex_codes(index)))
+    })
+}
+
+/// Writes an array with samples of each frame: its text in pieces, at these time codes.
+fn write_arrays<C: Iterator<Item = f64>>(
+    name: &str,
+    frames: Range<usize>,
+    out: &mut impl Write,
+    mut texts: impl FnMut(usize) -> Result<(Vec<Vec<u8>>, C)>,
+) -> Result<()> {
     writeln!(out, "        {name}{SAMPLES}")?;
-    for (index, frame) in shot.frames.iter().enumerate() {
-        let texts = if frame.file.has_mesh() { texts(index)? } else { Vec::new() };
-        for code in shot.vertex_codes(index) {
+    for index in frames {
+        let (texts, codes) = texts(index)?;
+        for code in codes {
             write!(out, "            {code}: [")?;
             texts.iter().try_for_each(|text| out.write_all(text))?;
             out.write_all(b"],\n")?;
@@ -390,17 +459,17 @@ fn write_samples(
     Ok(())
 }
 
-/// Writes a property that has the same size in all frames, with a line for each sample.
-fn write_lines(
-    shot: &UsdSequence,
+/// Writes a property with a line for each sample: its text, at the time codes of each frame.
+fn write_lines<C: Iterator<Item = f64>>(
     name: &str,
+    frames: Range<usize>,
     out: &mut impl Write,
-    line: impl Fn(usize) -> Result<String>,
+    line: impl Fn(usize) -> Result<(String, C)>,
 ) -> Result<()> {
     writeln!(out, "        {name}{SAMPLES}")?;
-    for index in 0..shot.frames.len() {
-        let line = line(index)?;
-        for code in shot.held_codes(index) {
+    for index in frames {
+        let (line, codes) = line(index)?;
+        for code in codes {
             writeln!(out, "            {code}: {line},")?;
         }
     }

@@ -53,8 +53,8 @@ use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputR
 use crate::usd::mesh::read_alone;
 use crate::usd::points::READER;
 use crate::usd::{
-    FORMAT, MeshProperty, POINTS_PRIM, PropertyValue, ROOT, SAMPLE_CODE, point_properties, properties,
-    renamed,
+    FORMAT, MeshProperty, POINTS_KIND, POINTS_PRIM, PropertyValue, ROOT, SAMPLE_CODE, point_properties,
+    properties, renamed,
 };
 use crate::usda::notes_of_points;
 use crate::vertex_attributes::{check_quads, plain_name, quad_count};
@@ -120,9 +120,9 @@ fn write(mesh: &MeshView, options: &MeshOptions, provenance: &Provenance, out: &
         up: options.up,
         meters_per_unit: options.meters_per_unit,
         times: None,
-        prim: (MESH_KIND, &plain_name(&options.name)),
     };
-    write_layer(&properties(mesh, &options.quads, true), &layer, out)
+    let prim = (MESH_KIND, &*plain_name(&options.name));
+    write_layer(prim, &properties(mesh, &options.quads, true), &layer, out)
 }
 
 /// The type of the prim of a mesh.
@@ -147,9 +147,9 @@ pub fn write_particles(
         up: options.up,
         meters_per_unit: options.meters_per_unit,
         times: None,
-        prim: ("Points", POINTS_PRIM),
     };
-    write_layer(&point_properties(&points, &points.others(), true), &layer, out)
+    let prim = (POINTS_KIND, POINTS_PRIM);
+    write_layer(prim, &point_properties(&points, &points.others(), true), &layer, out)
 }
 
 /// Notes on attributes that a file does not hold exactly.
@@ -157,8 +157,13 @@ pub fn particle_notes(frame: &ParticleFrame) -> Vec<String> {
     notes_of_points(frame, "usdc")
 }
 
-/// Writes a layer with one prim, which has these properties.
-fn write_layer(found: &[MeshProperty], layer: &LayerHead, out: &mut dyn Write) -> Result<()> {
+/// Writes a layer with one prim of this type and name, which has these properties.
+fn write_layer(
+    (kind, name): (&'static str, &str),
+    found: &[MeshProperty],
+    layer: &LayerHead,
+    out: &mut dyn Write,
+) -> Result<()> {
     let arrays: Vec<Option<CrateArray>> = found.par_iter().map(array_of).collect::<Result<_>>()?;
 
     let mut at = head(layer.provenance, 0).len() as u64;
@@ -178,7 +183,7 @@ fn write_layer(found: &[MeshProperty], layer: &LayerHead, out: &mut dyn Write) -
         };
         specs.push(spec(property, value));
     }
-    let (end, contents_at) = end.finish(layer, &specs)?;
+    let (end, contents_at) = end.finish(layer, &[PrimSpec { kind, name, properties: specs }])?;
     out.write_all(&head(layer.provenance, contents_at))?;
     for (array, (padding, _)) in arrays.iter().zip(spans) {
         out.write_all(padding)?;
@@ -206,12 +211,15 @@ fn value_of(property: &MeshProperty, end: &mut LayerEnd) -> Result<ValueRep> {
             let words = [end.tables.token(word)];
             end.array(&CrateArray::of_indices(ValueType::Token, &words))
         }
-        PropertyValue::StringTable(table) => {
-            let texts = table.iter().map(String::as_str).chain([""]);
-            let indices: Vec<u32> = texts.map(|text| end.tables.string(text)).collect();
-            end.array(&CrateArray::of_indices(ValueType::String, &indices))
-        }
+        PropertyValue::StringTable(table) => string_table(table, end),
     }
+}
+
+/// The value of the table of an indexed primvar.
+fn string_table(table: &[String], end: &mut LayerEnd) -> Result<ValueRep> {
+    let texts = table.iter().map(String::as_str).chain([""]);
+    let indices: Vec<u32> = texts.map(|text| end.tables.string(text)).collect();
+    end.array(&CrateArray::of_indices(ValueType::String, &indices))
 }
 
 fn spec(property: &MeshProperty, value: ValueRep) -> PropertySpec {
@@ -251,7 +259,7 @@ pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(V
 
 /// The attributes under the names and with the types that they had before they were written. The names of
 /// colours and accelerations are not in the file, so they get the usual ones.
-fn as_before(mut attributes: Vec<FileAttribute>) -> Vec<FileAttribute> {
+pub(crate) fn as_before(mut attributes: Vec<FileAttribute>) -> Vec<FileAttribute> {
     merge_opacity(&mut attributes);
     for FileAttribute { name, role, values, .. } in &mut attributes {
         match values {
@@ -331,11 +339,17 @@ struct LayerHead<'a> {
     meters_per_unit: f64,
     /// The first and last time code, and the time codes per second; `None` for one frame.
     times: Option<([i64; 2], f64)>,
-    /// The type and the name of the prim with the mesh or the points.
-    prim: (&'static str, &'a str),
 }
 
-/// A property of the mesh.
+/// The prim of a mesh or of points.
+struct PrimSpec<'a> {
+    /// Its type.
+    kind: &'static str,
+    name: &'a str,
+    properties: Vec<PropertySpec>,
+}
+
+/// A property of a prim.
 struct PropertySpec {
     kind: String,
     name: String,
@@ -470,7 +484,7 @@ impl LayerEnd {
     /// # Errors
     ///
     /// [`crate::Error::TooLarge`] if the tables exceed the format's limits.
-    fn finish(mut self, head: &LayerHead, properties: &[PropertySpec]) -> Result<(Vec<u8>, u64)> {
+    fn finish(mut self, head: &LayerHead, prims: &[PrimSpec]) -> Result<(Vec<u8>, u64)> {
         let up = match head.up {
             UpAxis::Y => "Y",
             UpAxis::Z => "Z",
@@ -492,16 +506,18 @@ impl LayerEnd {
         }
         self.tables.add_spec("", SpecType::PseudoRoot, &fields);
         let specifier = ValueRep::inlined(ValueType::Specifier, 0); // def
-        let (kind, children) = (self.tables.token_value("Xform"), self.names([head.prim.1].into_iter()));
+        let kind = self.tables.token_value("Xform");
+        let children = self.names(prims.iter().map(|prim| prim.name));
         let fields = [("specifier", specifier), ("typeName", kind), ("primChildren", children)];
         self.tables.add_spec(ROOT, SpecType::Prim, &fields);
-        let (kind, prim) = head.prim;
-        let kind = self.tables.token_value(kind);
-        let names = self.names(properties.iter().map(|property| property.name.as_str()));
-        let fields = [("specifier", specifier), ("typeName", kind), ("properties", names)];
-        self.tables.add_spec(prim, SpecType::Prim, &fields);
-        for property in properties {
-            self.add_property(property)?;
+        for PrimSpec { kind, name, properties } in prims {
+            let kind = self.tables.token_value(kind);
+            let names = self.names(properties.iter().map(|property| property.name.as_str()));
+            let fields = [("specifier", specifier), ("typeName", kind), ("properties", names)];
+            self.tables.add_spec(name, SpecType::Prim, &fields);
+            for property in properties {
+                self.add_property(property)?;
+            }
         }
         let LayerEnd { base, mut values, tables } = self;
         let contents_at = tables.append(base, &mut values)?;

@@ -167,17 +167,10 @@ fn no_other_file(path: &str) -> io::Result<Box<dyn ReadAt>> {
 }
 
 fn layer_info(layer: &Layer) -> Result<LayerInfo> {
-    let entry = |dictionary: &Option<Value>, name: &str| match dictionary {
-        Some(Value::Dictionary(entries)) => {
-            let found = entries.iter().find(|(key, _)| key == name);
-            found.map(|(_, value)| layer.resolved(value, name)).transpose()
-        }
-        _ => Ok(None),
-    };
-    let counts = entry(&layer.field(0, "customLayerData")?, "meniscus_mesh")?;
+    let counts = layer.entry(&layer.field(0, "customLayerData")?, "meniscus_mesh")?;
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a count")]
     let number = |name: &str| -> Result<Option<u64>> {
-        Ok(entry(&counts, name)?.and_then(|value| value.number()).map(|number| number as u64))
+        Ok(layer.entry(&counts, name)?.and_then(|value| value.number()).map(|number| number as u64))
     };
     match (number("vertices")?, number("faces")?) {
         (Some(vertices), Some(faces)) => Ok(LayerInfo { vertices, faces, frames: number("frames")? }),

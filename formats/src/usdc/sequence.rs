@@ -1,10 +1,11 @@
-//! Writes a sequence as one mesh whose attributes have a sample per frame.
+//! Writes a sequence as one mesh, and the points beside it, whose attributes have a sample per frame.
 //!
-//! The writer visits the frames once, in order. It writes their arrays one after the other, and at the end
-//! the time samples, which refer to the arrays. While it writes the arrays of a frame, the other threads of
-//! the caller's pool read and encode those of the next one; no other arrays are in memory, and the frame after
-//! reuses their memory. Equal arrays, such as those of a fluid at rest, are written once, as OpenUSD does. The
-//! attributes of a frame have the same time codes, so its `velocities` are valid for its `points`.
+//! The writer visits the frames once, in order, and once more for their points. It writes their arrays one
+//! after the other, and at the end the time samples, which refer to the arrays. While it writes the arrays of a
+//! frame, the other threads of the caller's pool read and encode those of the next one; no other arrays are in
+//! memory, except the strings, and the frame after reuses their memory. Equal arrays, such as those of a fluid
+//! at rest, are written once, as OpenUSD does. The attributes of a frame have the same time codes, so its
+//! `velocities` are valid for its `points`.
 //!
 //! USD allows samples with different numbers of vertices, and holds such a sample until the next. If the next
 //! frame has the same number of vertices, a second sample just before it refers to the same arrays, so that
@@ -14,43 +15,55 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::mem;
+use std::ops::Range;
+use std::rc::Rc;
 
 use rayon::prelude::*;
 
 use super::array::{CrateArray, IntegerBuffers};
 use super::tables::{CONTENTS_AT, ValueRep, ValueType};
-use super::{LayerEnd, LayerHead, MESH_KIND, PropertySpec, SpecValue, head, padding};
+use super::{
+    LayerEnd, LayerHead, MESH_KIND, PrimSpec, PropertySpec, SpecValue, array_of, head, padding, string_table,
+};
 use crate::data::Provenance;
 use crate::digest::{Hasher, SampleKey};
 use crate::error::Result;
 use crate::gltf::{GlbFrame, SequenceFrame};
-use crate::usd::{PRIM, SequenceAttribute, TRANSLATE, UsdSequence};
+use crate::sequence_points::SequencePoints;
+use crate::usd::{
+    POINTS_KIND, PRIM, PropertyValue, SEQUENCE_POINTS_PRIM, SequenceAttribute, TRANSLATE, UsdSequence,
+    UsdSequencePoints,
+};
 
-/// Writes a sequence of frames, whose numbers become the time codes and must increase. `open` opens the file
-/// of a frame, by its index; position 0 of `out` is the start of the file. Returns notes on attributes that
-/// are renamed, or omitted because the frames differ in them.
+/// Writes a sequence of frames, whose numbers become the time codes and must increase, and the points beside
+/// their meshes. `open` opens the file of a frame, by its index; position 0 of `out` is the start of the file.
+/// Returns notes on attributes that are renamed, or omitted because the frames differ in them.
 ///
 /// # Errors
 ///
 /// [`crate::Error::Io`] if a file cannot be read or `out` fails; [`crate::Error::Invalid`] if a document is
 /// damaged, numbers do not increase, or frames differ in their up axis; [`crate::Error::Unsupported`] for
-/// numbers beyond 2⁵³; [`crate::Error::TooLarge`] beyond 2³¹ vertices in a frame.
+/// numbers beyond 2⁵³; [`crate::Error::TooLarge`] beyond 2³¹ vertices in a frame; those of reading the points.
 pub fn write_sequence<R: Read + Seek + Send>(
     frames: &[SequenceFrame],
+    points: Option<&SequencePoints>,
     (fps, meters_per_unit): (f64, f64),
     provenance: &Provenance,
     open: impl Fn(usize) -> io::Result<R>,
     out: &mut (impl Write + Seek + Send),
 ) -> Result<Vec<String>> {
-    let shot = UsdSequence::of(frames)?;
-    let (attributes, notes) = shot.attributes()?;
+    let shot = UsdSequence::of(frames, points.is_some())?;
+    let (attributes, mut notes) = shot.attributes()?;
+    let points = points.map(|points| UsdSequencePoints::of(&shot, points));
     let start = head(provenance, 0);
     out.write_all(&start)?;
     let mut arrays = ArrayWriter { at: start.len() as u64, written: HashMap::new(), out };
     let samples = write_arrays(&shot, &attributes, open, &mut arrays)?;
+    let of_points = points.as_ref().map(|points| write_point_arrays(points, &mut arrays)).transpose()?;
 
     let mut end = LayerEnd::at(arrays.at);
-    let mut specs = vec![extents(&shot, &mut end)?];
+    let extent = |index| Ok((shot.extent(index)?, shot.held_codes(index)));
+    let mut specs = vec![extents(0..frames.len(), extent, &mut end)?];
     let mut samples = samples.into_iter();
     let mut integers = |name| sampled("int[]", name, samples.next().unwrap_or_default());
     let (corners, sizes) = (integers("faceVertexIndices"), integers("faceVertexCounts"));
@@ -69,9 +82,14 @@ pub fn write_sequence<R: Read + Seek + Send>(
         up: shot.placement.up,
         meters_per_unit,
         times: Some((shot.code_range(), fps)),
-        prim: (MESH_KIND, PRIM),
     };
-    let (end, contents_at) = end.finish(&layer, &specs)?;
+    let mut prims = vec![PrimSpec { kind: MESH_KIND, name: PRIM, properties: specs }];
+    if let Some((points, samples)) = points.as_ref().zip(of_points) {
+        let properties = point_specs(points, samples, &mut end)?;
+        prims.push(PrimSpec { kind: POINTS_KIND, name: SEQUENCE_POINTS_PRIM, properties });
+        notes.extend_from_slice(points.notes());
+    }
+    let (end, contents_at) = end.finish(&layer, &prims)?;
     out.write_all(&end)?;
     out.seek(SeekFrom::Start(CONTENTS_AT as u64))?;
     out.write_all(&contents_at.to_le_bytes())?;
@@ -127,6 +145,73 @@ fn write_arrays<R: Read + Seek + Send>(
     Ok(samples)
 }
 
+/// The samples of a property of points.
+#[derive(Default)]
+struct PropertySamples {
+    arrays: Vec<(f64, ValueRep)>,
+    /// The tables of an indexed primvar, which are written at the end. Equal ones in a row are in memory once.
+    tables: Vec<(f64, Rc<Vec<String>>)>,
+}
+
+/// Writes the arrays of the points of all frames. Returns the samples of each property.
+fn write_point_arrays(
+    points: &UsdSequencePoints,
+    out: &mut ArrayWriter<impl Write>,
+) -> Result<Vec<PropertySamples>> {
+    let mut samples: Vec<PropertySamples> = Vec::new();
+    for index in points.frames() {
+        points.with_properties(index, |properties| {
+            samples.resize_with(properties.len(), PropertySamples::default);
+            for (property, PropertySamples { arrays, tables }) in properties.iter().zip(&mut samples) {
+                let codes = points.point_codes(index);
+                if let Some(array) = array_of(property)? {
+                    let value = out.write(&KeyedArray::of(array)?)?;
+                    arrays.extend(codes.map(|code| (code, value)));
+                } else if let PropertyValue::StringTable(table) = property.value {
+                    let last = tables.last().map(|(_, last)| last).filter(|last| ***last == table);
+                    let table = last.map_or_else(|| Rc::new(table.to_vec()), Rc::clone);
+                    tables.extend(codes.map(|code| (code, Rc::clone(&table))));
+                }
+            }
+            Ok(())
+        })?;
+    }
+    Ok(samples)
+}
+
+/// The properties of the points, with these samples.
+fn point_specs(
+    points: &UsdSequencePoints,
+    samples: Vec<PropertySamples>,
+    end: &mut LayerEnd,
+) -> Result<Vec<PropertySpec>> {
+    let extent = |index| Ok((points.extent(index), points.held_codes(index)));
+    let mut specs = vec![extents(points.frames(), extent, end)?];
+    points.with_template(|properties| {
+        for (property, PropertySamples { mut arrays, tables }) in properties.iter().zip(samples) {
+            let mut last: Option<(Rc<Vec<String>>, ValueRep)> = None;
+            for (code, table) in tables {
+                let value = match &last {
+                    Some((known, value)) if Rc::ptr_eq(known, &table) => *value,
+                    _ => string_table(&table, end)?,
+                };
+                arrays.push((code, value));
+                last = Some((table, value));
+            }
+            specs.push(PropertySpec {
+                interpolation: property.interpolation,
+                element_size: property.element_size,
+                ..sampled(&property.kind, &property.name, arrays)
+            });
+        }
+        Ok(())
+    })?;
+    if let Some(origin) = points.origin() {
+        specs.extend(translation(origin, end)?);
+    }
+    Ok(specs)
+}
+
 /// The most files of a frame that are open at once: systems limit them to 256 or more.
 const OPEN_FILES_MAX: usize = 32;
 
@@ -157,7 +242,7 @@ impl<'a> ArrayEncoder<'a> {
         frame: &GlbFrame,
         shift: [f64; 3],
         file: &mut (impl Read + Seek),
-    ) -> Result<KeyedArray> {
+    ) -> Result<KeyedArray<'static>> {
         let ArrayEncoder { source, triangles, values, buffers } = self;
         KeyedArray::of(match source {
             SourceArray::TriangleSizes => CrateArray::triangle_sizes(frame.triangle_count()?, buffers)?,
@@ -174,19 +259,19 @@ impl<'a> ArrayEncoder<'a> {
     }
 
     /// Takes the memory of an array that has been written.
-    fn recycle(&mut self, KeyedArray { array, .. }: KeyedArray) {
+    fn recycle(&mut self, KeyedArray { array, .. }: KeyedArray<'static>) {
         array.recycle(&mut self.buffers, &mut self.values);
     }
 }
 
 /// An encoded array with its type and its 128-bit digest, by which equal arrays are recognised.
-struct KeyedArray {
-    array: CrateArray<'static>,
+struct KeyedArray<'a> {
+    array: CrateArray<'a>,
     key: (ValueRep, SampleKey),
 }
 
-impl KeyedArray {
-    fn of(array: CrateArray<'static>) -> Result<KeyedArray> {
+impl<'a> KeyedArray<'a> {
+    fn of(array: CrateArray<'a>) -> Result<KeyedArray<'a>> {
         let mut hasher = Hasher::default();
         array.write(&mut hasher)?;
         let key = (array.rep(0), hasher.finish());
@@ -235,17 +320,22 @@ fn word(name: &str, word: &str, end: &mut LayerEnd) -> PropertySpec {
     PropertySpec { is_uniform: true, value, ..sampled("token", name, Vec::new()) }
 }
 
-fn extents(shot: &UsdSequence, end: &mut LayerEnd) -> Result<PropertySpec> {
+/// The extents of frames: the corners of each, and their time codes.
+fn extents<C: Iterator<Item = f64>>(
+    frames: Range<usize>,
+    extent: impl Fn(usize) -> Result<([[f32; 3]; 2], C)>,
+    end: &mut LayerEnd,
+) -> Result<PropertySpec> {
     let mut samples = Vec::new();
-    for index in 0..shot.frames.len() {
-        let corners = shot.extent(index)?;
+    for index in frames {
+        let (corners, codes) = extent(index)?;
         let value = end.array(&CrateArray::of_vectors(corners.as_flattened()))?;
-        samples.extend(shot.held_codes(index).map(|code| (code, value)));
+        samples.extend(codes.map(|code| (code, value)));
     }
     Ok(sampled("float3[]", "extent", samples))
 }
 
-/// The transform of the mesh, which is the same in all frames.
+/// The transform of the mesh or the points, which is the same in all frames.
 fn translation(origin: [f64; 3], end: &mut LayerEnd) -> Result<[PropertySpec; 2]> {
     let words = [end.tables.token(TRANSLATE)];
     let order = end.array(&CrateArray::of_indices(ValueType::Token, &words))?;

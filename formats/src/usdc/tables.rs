@@ -26,7 +26,8 @@ pub(super) enum SpecType {
 pub(super) const SET_END: u32 = u32::MAX;
 
 /// The jumps of a path, which say what follows it in the list: its first child (it has no sibling), its
-/// sibling (it has no child), or neither (it has no child and no sibling).
+/// sibling (it has no child), or neither (it has no child and no sibling). For a path with both, the jump is the number
+/// of paths to its sibling, after its children.
 pub(super) const JUMP_CHILD: i32 = -1;
 pub(super) const JUMP_SIBLING: i32 = 0;
 const JUMP_END: i32 = -2;
@@ -75,8 +76,8 @@ impl Tables {
         ValueRep::inlined(ValueType::Token, self.token(word))
     }
 
-    /// Adds the next path, with its fields. The first path is the root of the layer, the next ones are the
-    /// prims, each a child of the one before, and the others are properties of the last prim.
+    /// Adds the next path, with its fields. The first path is the root of the layer, and the second one the root prim.
+    /// The others are the children of the root prim, each followed by its properties, of which it has at least one.
     #[expect(clippy::cast_possible_truncation, reason = "a layer has far fewer than 2³² fields")]
     pub(super) fn add_spec(&mut self, name: &str, kind: SpecType, fields: &[(&str, ValueRep)]) {
         let first = self.field_sets.len() as u32;
@@ -157,12 +158,22 @@ impl Tables {
             SpecType::Prim | SpecType::PseudoRoot => name.cast_signed(),
         };
         append_compressed(self.specs.iter().map(name), out)?;
-        let jump = |index: usize| match self.specs[index].1 {
-            _ if index + 1 == self.specs.len() => JUMP_END,
-            SpecType::Attribute => JUMP_SIBLING,
-            SpecType::Prim | SpecType::PseudoRoot => JUMP_CHILD,
-        };
-        append_compressed((0..self.specs.len()).map(jump), out)
+        let mut jumps = Vec::new();
+        for (at, (_, kind, _)) in self.specs.iter().enumerate() {
+            let later = &self.specs[at + 1..];
+            let is_prim = |(_, kind, _): &(u32, SpecType, u32)| *kind == SpecType::Prim;
+            jumps.push(match (kind, later.first()) {
+                (_, None) => JUMP_END,
+                (SpecType::Attribute, Some((_, SpecType::Attribute, _))) => JUMP_SIBLING,
+                (SpecType::Attribute, Some(_)) => JUMP_END,
+                (SpecType::Prim, Some((_, SpecType::Attribute, _))) => {
+                    let property_count = later.iter().position(is_prim);
+                    property_count.map_or(Ok(JUMP_CHILD), |count| index(count + 1))?
+                }
+                (SpecType::Prim | SpecType::PseudoRoot, Some(_)) => JUMP_CHILD,
+            });
+        }
+        append_compressed(jumps.into_iter(), out)
     }
 
     fn append_specs(&self, out: &mut Vec<u8>) -> Result<()> {

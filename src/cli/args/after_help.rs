@@ -195,10 +195,14 @@ which takes two to four times the size of the file. So a frame must stay below 4
 GiB as .glb, and the sequence file has what a .glb has: integers are floats,
 without those beyond 2^24, and there are no quads and no strings.
 
+USD and .abc also have the points of --spray beside the frames, from files such
+as dam.0012.spray.usdc: as surface_spray, with all their attributes. A .glb has
+only meshes.
+
 Exit status:
   0    all frames are in the sequence file
-  1    some frames could not be read, and are left out; each is named, with the
-       reason
+  1    some frames, or their points, could not be read, and are left out; each
+       is named, with the reason
   2    no sequence file was written";
 
 pub(super) const VERIFY_STATUSES: &str = "\

@@ -10,7 +10,7 @@ use meniscus_formats::{AttributeRole, FileAttribute, MeshData, ParticleFrame, Va
 use serde::Serialize;
 
 use crate::cli::wording::{shortest, significant};
-use crate::pipeline::{MeasuredSpacing, particles};
+use crate::pipeline::{MeasuredSpacing, SEQUENCE_POINTS, particles};
 use crate::surface::options::Preset;
 use crate::surface::particles::OwnedPositions;
 
@@ -477,6 +477,9 @@ pub(super) struct SequenceFileRecord {
     vertices: u64,
     /// Total over all frames.
     triangles: u64,
+    /// Points beside the meshes, total over all frames; `None` without any.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    points: Option<u64>,
     /// The names of the vertex attributes.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     attributes: Vec<String>,
@@ -493,7 +496,8 @@ impl SequenceFileRecord {
         let number = |name: &str| made_by?.get(name)?.parse().ok();
         let fps = made_by.and_then(|made_by| made_by.get("fps")?.parse().ok());
         let [first, last] = ["first", "last"].map(number);
-        SequenceFileRecord { frames, first, last, fps, vertices, triangles, attributes }
+        let points = made_by.and_then(|made_by| made_by.get(SEQUENCE_POINTS)?.parse().ok());
+        SequenceFileRecord { frames, first, last, fps, vertices, triangles, points, attributes }
     }
 }
 
@@ -506,6 +510,9 @@ impl fmt::Display for SequenceFileRecord {
         self.fps.iter().try_for_each(|fps| row(f, "frames per second", shortest(*fps)))?;
         row(f, "vertices", format_args!("{}, in all frames", self.vertices))?;
         row(f, "triangles", format_args!("{}, in all frames", self.triangles))?;
+        self.points
+            .iter()
+            .try_for_each(|points| row(f, "points", format_args!("{points}, in all frames")))?;
         self.attributes.iter().try_for_each(|name| row(f, "attribute", name))
     }
 }

@@ -165,17 +165,76 @@ pub fn spray_beside(mesh: &Path) -> Option<PathBuf> {
     paths.find(|path| path.is_file() && is_spray(path))
 }
 
+/// The points that were written together with a mesh.
+#[derive(Debug, PartialEq)]
+pub(crate) enum SprayOfMesh {
+    /// The mesh was made without `--spray`.
+    None,
+    Found(PathBuf, PointFormat),
+    /// No file has its name.
+    Missing,
+    /// The file with its name has other contents.
+    Other(PathBuf),
+}
+
+/// The setting, as recorded with a mesh, whose points are beside it.
+const SPRAY_SETTING: &str = "spray";
+
+/// Formats in which points are looked for, first those with the types of USD and Alembic.
+const LOOKED_FOR: [PointFormat; 7] = [
+    PointFormat::Usdc,
+    PointFormat::Usda,
+    PointFormat::Abc,
+    PointFormat::Vtp,
+    PointFormat::Bgeo,
+    PointFormat::Ply,
+    PointFormat::Npy,
+];
+
+/// Finds the points that were written together with the mesh that has this provenance. A later run may have replaced
+/// the mesh only, so what is recorded with both must not differ.
+pub(crate) fn spray_of(mesh: &Path, recorded: &[(String, String)]) -> SprayOfMesh {
+    if !recorded.iter().any(|(name, _)| name == SPRAY_SETTING) {
+        return SprayOfMesh::None;
+    }
+    let is_recorded = |(name, value): &(String, String)| {
+        recorded.iter().all(|(known, other)| known != name || value == other)
+    };
+    let (folder, stem) = (mesh.parent().unwrap_or(Path::new("")), mesh.file_stem().unwrap_or_default());
+    let mut other = None;
+    for format in LOOKED_FOR {
+        let path = spray_path(folder, &stem.to_string_lossy(), format);
+        let head = head_and_name(&path).ok();
+        match head.map(|(head, name)| spray_provenance_in(&head, &name)) {
+            Some(Some(pairs)) if pairs.iter().all(is_recorded) => return SprayOfMesh::Found(path, format),
+            Some(_) => drop(other.get_or_insert(path)),
+            None => {}
+        }
+    }
+    other.map_or(SprayOfMesh::Missing, SprayOfMesh::Other)
+}
+
 /// Whether a file has points that this program wrote beside a surface; false if it cannot be read.
 pub fn is_spray(path: &Path) -> bool {
     has_spray_name(path) && head_and_name(path).is_ok_and(|(head, name)| is_spray_head(&head, &name))
 }
 
-/// Whether these are the first bytes of points beside a surface. Formats without provenance have their attribute.
+/// Whether these are the first bytes of points beside a surface.
 fn is_spray_head(head: &[u8], name: &str) -> bool {
+    spray_provenance_in(head, name).is_some()
+}
+
+/// The provenance in the first bytes of points beside a surface; `None` for other files. Formats without provenance have
+/// their attribute.
+fn spray_provenance_in(head: &[u8], name: &str) -> Option<Vec<(String, String)>> {
     match probe(head, name).kind.format().and_then(Format::output) {
         Some(format) => read_provenance(format, head)
-            .is_ok_and(|recorded| recorded.iter().any(|(key, value)| key == CONTENTS && value == SPRAY)),
-        None => head.windows(SPRAY_CLASS.len()).any(|bytes| bytes == SPRAY_CLASS.as_bytes()),
+            .ok()
+            .filter(|recorded| recorded.iter().any(|(key, value)| key == CONTENTS && value == SPRAY)),
+        None => {
+            let has_class = head.windows(SPRAY_CLASS.len()).any(|bytes| bytes == SPRAY_CLASS.as_bytes());
+            has_class.then(Vec::new)
+        }
     }
 }
 

@@ -1,15 +1,17 @@
-//! Combines the `.glb`, `.abc` or `.usdc` files of all frames into one file.
+//! Combines the `.glb`, `.abc` or `.usdc` files of all frames, and the points beside them, into one file.
 //!
 //! ```text
 //!   out/dam.0012.glb  out/dam.0013.glb  ..  ──▶  dam.glb     plays in a browser, and in Blender
 //!                                           ──▶  dam.usda    one mesh with time samples
 //!                                           ──▶  dam.usdc    the same in binary
 //!                                           ──▶  dam.abc     one mesh with time samples
+//!   out/dam.0012.spray.usdc  ..             ──▶              points with time samples, except in a .glb
 //! ```
 //!
 //! Frames are read only from their files. So a sequence file is the same whether one process converted its
 //! frames, many machines did, or they were converted on different days; and the memory for writing it does
-//! not depend on the number of frames. An `.abc` or `.usdc` of a frame is converted to a `.glb` in memory.
+//! not depend on the number of frames. An `.abc` or `.usdc` of a frame is converted to a `.glb` in memory. The points
+//! of a frame are read first for what must be known of all frames, and again when they are written.
 //!
 //! The number of a frame determines when it is shown. In USD the number is the time code, as other programs
 //! write it. In an `.abc`, as in the scenes of 3D programs, frame n is at n / fps seconds. In a `.glb`, which
@@ -25,12 +27,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use meniscus_formats::gltf::{self, GlbFrame, SEQUENCE_FRAMES, SequenceFrame};
-use meniscus_formats::{Limits, OutputFormat, abc, read_provenance, usda, usdc};
+use meniscus_formats::{
+    Limits, OutputFormat, ParticleFrame, PointFormat, PointsSummary, SequencePoints, abc, read_provenance,
+    usda, usdc,
+};
 
+use super::content::{SprayOfMesh, spray_of};
 use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use crate::pipeline::files::atomic_write::{sync_while, write_atomically};
 use crate::pipeline::files::identity::are_same_file;
-use crate::pipeline::files::open::open_regular;
+use crate::pipeline::files::open::{open_regular, read_regular};
 use crate::pipeline::files::stamp::FileStamp;
 use crate::surface::words::pluralize;
 
@@ -88,9 +94,11 @@ pub struct SequenceOptions {
 pub struct SequenceReport {
     /// The number of frames in the file.
     pub frame_count: usize,
+    /// The number of points in all frames; `None` if the file has none.
+    pub point_count: Option<usize>,
     /// The size of the file.
     pub size_bytes: u64,
-    /// Frames that could not be read, and why.
+    /// The files of frames that could not be read, and why. Without its points, a frame is left out.
     pub left_out: Vec<(PathBuf, String)>,
     /// Warnings about a sequence file that was written.
     pub notes: Vec<String>,
@@ -129,42 +137,48 @@ pub fn write_sequence_file(
         return Err(fail("the sequence file would replace one of its frames".to_owned()));
     }
     check_sequence_path(path)?;
-    let (source_frames, left_out) = read_frames(sources);
+    let (source_frames, left_out) = read_frames(sources, format);
     if source_frames.is_empty() {
         return Err(no_frame(&left_out, path));
     }
     let mut report = SequenceReport { left_out, ..SequenceReport::default() };
+    report.notes.extend(points_notes(&source_frames, format));
     let numbers: Vec<Option<i64>> = source_frames.iter().map(|frame| frame.source.number).collect();
     let numbers = increasing(&numbers);
     let codes = match format {
         SequenceFormat::Glb => in_steps(&numbers),
         SequenceFormat::Usda | SequenceFormat::Usdc | SequenceFormat::Abc => numbers.clone(),
     };
-    let provenance = provenance(&numbers, fps);
-    let (mut frames, mut opened) = (Vec::new(), Vec::new());
-    for (SourceFrame { source, stamp, file, notes }, code) in source_frames.into_iter().zip(codes) {
+    let (mut frames, mut opened, mut files_of_points) = (Vec::new(), Vec::new(), Vec::new());
+    for (SourceFrame { source, stamp, file, points, notes }, code) in source_frames.into_iter().zip(codes) {
         let new = notes.into_iter().filter(|note| !report.notes.contains(note)).collect::<Vec<_>>();
         report.notes.extend(new);
         let name = source.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         frames.push(SequenceFrame { name, code, file });
-        opened.push((&source.path, stamp));
+        opened.push((source.path.clone(), stamp));
+        files_of_points.push(match points {
+            FramePoints::Read(file) => Some(file),
+            FramePoints::None | FramePoints::Missing | FramePoints::Unread => None,
+        });
     }
+    let mesh_files = opened.clone();
+    opened.extend(files_of_points.iter().flatten().map(|file| (file.path.clone(), file.stamp)));
+    let points = sequence_points(&files_of_points);
+    report.point_count = points.as_ref().map(SequencePoints::total);
+    let provenance = provenance(&numbers, fps, report.point_count);
     let last = RefCell::new(None);
-    let open = |index: usize| FrameReader::open(opened[index].0, index, &last);
-    let units = (fps, meters_per_unit);
+    let open = |index: usize| FrameReader::open(&mesh_files[index].0, index, &last);
+    let (units, points) = ((fps, meters_per_unit), points.as_ref());
     let mut write = |out: &mut BufWriter<&File>| -> meniscus_formats::Result<()> {
-        match format {
-            SequenceFormat::Glb => gltf::write_sequence(&frames, fps, &provenance, open, out)?,
-            SequenceFormat::Usda => {
-                report.notes.extend(usda::write_sequence(&frames, units, &provenance, open, out)?);
+        report.notes.extend(match format {
+            SequenceFormat::Glb => {
+                gltf::write_sequence(&frames, fps, &provenance, open, out)?;
+                Vec::new()
             }
-            SequenceFormat::Usdc => {
-                report.notes.extend(usdc::write_sequence(&frames, units, &provenance, open, out)?);
-            }
-            SequenceFormat::Abc => {
-                report.notes.extend(abc::write_sequence(&frames, fps, &provenance, open, out)?);
-            }
-        }
+            SequenceFormat::Usda => usda::write_sequence(&frames, points, units, &provenance, open, out)?,
+            SequenceFormat::Usdc => usdc::write_sequence(&frames, points, units, &provenance, open, out)?,
+            SequenceFormat::Abc => abc::write_sequence(&frames, points, fps, &provenance, open, out)?,
+        });
         Ok(refuse_written(&opened)?)
     };
     let written = write_atomically(path, |out| sync_while(out.get_ref(), || write(out)));
@@ -192,8 +206,29 @@ struct SourceFrame<'a> {
     source: &'a SequenceSource,
     stamp: FileStamp,
     file: GlbFrame,
+    points: FramePoints,
     /// Notes on attributes that are lost.
     notes: Vec<String>,
+}
+
+/// The points beside the mesh of a frame.
+enum FramePoints {
+    /// It was made without them.
+    None,
+    /// There is no file with them.
+    Missing,
+    /// The format of the sequence cannot have them.
+    Unread,
+    Read(PointsFile),
+}
+
+/// The file with the points of a frame.
+struct PointsFile {
+    path: PathBuf,
+    format: PointFormat,
+    /// When it was opened.
+    stamp: FileStamp,
+    summary: PointsSummary,
 }
 
 /// The `.abc` or `.usdc` of a frame, converted to `.glb`.
@@ -281,21 +316,94 @@ impl Seek for FrameReader {
     }
 }
 
-fn read_frame(source: &SequenceSource) -> Result<SourceFrame<'_>, meniscus_formats::Error> {
-    let stamp = FileStamp::of(&open_regular(&source.path)?.metadata()?);
+/// Opens the file of a frame for a sequence in `format`, and reads its points.
+///
+/// # Errors
+/// The file that cannot be read, and why.
+fn read_frame(
+    source: &SequenceSource,
+    format: SequenceFormat,
+) -> Result<SourceFrame<'_>, (PathBuf, meniscus_formats::Error)> {
     let converted = RefCell::new(None);
-    let file = GlbFrame::read(&mut FrameReader::open(&source.path, 0, &converted)?)?;
+    let open = || -> meniscus_formats::Result<(FileStamp, GlbFrame)> {
+        let stamp = FileStamp::of(&open_regular(&source.path)?.metadata()?);
+        Ok((stamp, GlbFrame::read(&mut FrameReader::open(&source.path, 0, &converted)?)?))
+    };
+    let (stamp, file) = open().map_err(|error| (source.path.clone(), error))?;
     let notes = converted.into_inner().map(|frame: ConvertedFrame| frame.notes).unwrap_or_default();
-    Ok(SourceFrame { source, stamp, file, notes })
+    let points = match spray_of(&source.path, &file.provenance()) {
+        SprayOfMesh::None => FramePoints::None,
+        SprayOfMesh::Missing if format == SequenceFormat::Glb => FramePoints::None,
+        SprayOfMesh::Missing => FramePoints::Missing,
+        _ if format == SequenceFormat::Glb => FramePoints::Unread,
+        SprayOfMesh::Other(path) => {
+            return Err((path, meniscus_formats::Error::unsupported("", OTHER_POINTS)));
+        }
+        SprayOfMesh::Found(path, format) => match PointsFile::open(path.clone(), format) {
+            Ok(file) => FramePoints::Read(file),
+            Err(error) => return Err((path, error)),
+        },
+    };
+    Ok(SourceFrame { source, stamp, file, points, notes })
 }
 
-/// Opens the frames. Returns those that can be read, and the paths of the others, each with the reason.
-fn read_frames(sources: &[SequenceSource]) -> (Vec<SourceFrame<'_>>, Vec<(PathBuf, String)>) {
+const OTHER_POINTS: &str = "these are not the points of the mesh: another run or another program wrote them, or the \
+                            file is damaged; convert the frame again";
+
+impl PointsFile {
+    fn open(path: PathBuf, format: PointFormat) -> meniscus_formats::Result<PointsFile> {
+        let stamp = FileStamp::of(&open_regular(&path)?.metadata()?);
+        let summary = PointsSummary::of(&read_points(&path, format)?)?;
+        Ok(PointsFile { path, format, stamp, summary })
+    }
+}
+
+fn read_points(path: &Path, format: PointFormat) -> meniscus_formats::Result<ParticleFrame> {
+    format.read(&read_regular(path)?, &Limits::default())
+}
+
+/// The points of a sequence, whose frames have these files; `None` if no frame has one.
+fn sequence_points(files: &[Option<PointsFile>]) -> Option<SequencePoints<'_>> {
+    files.iter().any(Option::is_some).then(|| {
+        let summary = |file: &Option<PointsFile>| file.as_ref().map(|file| file.summary.clone());
+        let summaries = files.iter().map(|file| summary(file).unwrap_or_default()).collect();
+        let read = |index: usize| match files.get(index).and_then(Option::as_ref) {
+            Some(PointsFile { path, format, .. }) => read_points(path, *format)
+                .map_err(|error| io::Error::other(format!("{}: {error}", path.display())).into()),
+            None => Ok(ParticleFrame::default()),
+        };
+        SequencePoints::new(summaries, Box::new(read))
+    })
+}
+
+/// Notes on points that the sequence does not have although its frames were made with them.
+fn points_notes(frames: &[SourceFrame], format: SequenceFormat) -> Option<String> {
+    if frames.iter().any(|frame| matches!(frame.points, FramePoints::Unread)) {
+        let extension = format.output().extension();
+        return Some(format!(
+            "the points beside the frames (--spray) are missing: a sequence in .{extension} has only meshes; for \
+             both, write .usdc, .usda or .abc"
+        ));
+    }
+    let mut missing = frames.iter().filter(|frame| matches!(frame.points, FramePoints::Missing));
+    let first = missing.next()?.source.path.display();
+    let others = match missing.count() {
+        0 => String::new(),
+        count => format!(" and {}", pluralize(count, "other frame")),
+    };
+    Some(format!("the points (--spray) of {first}{others} are missing: there is no file with them"))
+}
+
+/// Opens the frames. Returns those that can be read, and the files of the others that cannot, each with the reason.
+fn read_frames(
+    sources: &[SequenceSource],
+    format: SequenceFormat,
+) -> (Vec<SourceFrame<'_>>, Vec<(PathBuf, String)>) {
     let (mut source_frames, mut left_out) = (Vec::new(), Vec::new());
     for source in sources {
-        match read_frame(source) {
+        match read_frame(source, format) {
             Ok(frame) => source_frames.push(frame),
-            Err(error) => left_out.push((source.path.clone(), error.to_string())),
+            Err((path, error)) => left_out.push((path, error.to_string())),
         }
     }
     (source_frames, left_out)
@@ -303,7 +411,7 @@ fn read_frames(sources: &[SequenceSource]) -> (Vec<SourceFrame<'_>>, Vec<(PathBu
 
 /// Fails if the file of a frame was written since it was opened. The data of a frame are read long after
 /// their layout, so the file must not change in between.
-fn refuse_written(opened: &[(&PathBuf, FileStamp)]) -> io::Result<()> {
+fn refuse_written(opened: &[(PathBuf, FileStamp)]) -> io::Result<()> {
     for (path, stamp) in opened {
         if FileStamp::of_path(path)? != *stamp {
             return Err(io::Error::other(format!("{} was written while it was read", path.display())));
@@ -335,17 +443,22 @@ pub fn is_sequence_file(path: &Path) -> bool {
 }
 
 /// The provenance of the sequence file; the meshes have the provenance of their frames.
-fn provenance(numbers: &[i64], fps: f64) -> Vec<(String, String)> {
+fn provenance(numbers: &[i64], fps: f64, point_count: Option<usize>) -> Vec<(String, String)> {
     let pair = |name: &str, value: String| (name.to_owned(), value);
     let number = |number: Option<&i64>| number.copied().unwrap_or_default().to_string();
-    vec![
+    let mut pairs = vec![
         pair("generator", GENERATOR_AND_VERSION.to_owned()),
         pair(SEQUENCE_FRAMES, numbers.len().to_string()),
         pair("first", number(numbers.first())),
         pair("last", number(numbers.last())),
         pair("fps", fps.to_string()),
-    ]
+    ];
+    pairs.extend(point_count.map(|count| pair(SEQUENCE_POINTS, count.to_string())));
+    pairs
 }
+
+/// The name in provenance whose value is the number of points in all frames of a sequence.
+pub const SEQUENCE_POINTS: &str = "points";
 
 /// The numbers of the frames. If some have none, or they do not increase, frames are counted from 1.
 pub(super) fn increasing(numbers: &[Option<i64>]) -> Vec<i64> {
@@ -425,7 +538,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("dam.1.glb");
         std::fs::write(&path, b"one").expect("written");
-        let opened = [(&path, FileStamp::of_path(&path).expect("there"))];
+        let opened = [(path.clone(), FileStamp::of_path(&path).expect("there"))];
         assert!(refuse_written(&opened).is_ok());
         std::fs::write(&path, b"other").expect("written");
         let error = refuse_written(&opened).expect_err("it was written");
