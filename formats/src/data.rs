@@ -7,6 +7,7 @@ use std::fmt;
 
 use crate::error::{Error, Position, Result};
 use crate::number::{of_any_type, wide};
+use crate::vertex_attributes::{Purpose, purposes};
 
 /// Particle positions, in the precision of the file.
 #[derive(Clone, Debug, PartialEq)]
@@ -318,10 +319,15 @@ impl MeshView<'_> {
         if !self.origin.iter().all(|c| c.is_finite()) {
             return invalid(format!("the origin {:?} is not finite", self.origin));
         }
-        self.attributes.iter().try_for_each(|attribute| {
+        for (attribute, purpose) in self.attributes.iter().zip(purposes(self.attributes)) {
             attribute.check(vertices, format)?;
-            attribute.seams.map_or(Ok(()), |seams| seams.check(attribute, self.triangles, vertices, format))
-        })
+            let matches =
+                |seams: SeamsView| purpose == Purpose::Texture && seams.match_mesh(self.triangles, vertices);
+            if !attribute.seams.is_none_or(matches) {
+                return invalid(format!("the seams of attribute {} do not match the mesh", attribute.name));
+            }
+        }
+        Ok(())
     }
 }
 
@@ -391,32 +397,21 @@ impl<'a> VertexAttribute<'a> {
 }
 
 impl SeamsView<'_> {
-    /// Fails unless the attribute has texture coordinates, every corner has a row, that of its vertex or one that follows
-    /// those of the vertices, and all values are finite.
-    fn check(
-        &self,
-        attribute: &VertexAttribute,
-        triangles: &[[u32; 3]],
-        vertex_count: usize,
-        format: &'static str,
-    ) -> Result<()> {
-        let VertexAttribute { name, role, arity, values, .. } = attribute;
-        let is_texture = (*role, *arity) == (Some(AttributeRole::TextureCoordinates), 2);
-        let is_row = |(row, vertex): (&u32, &u32)| {
-            row == vertex || (vertex_count..self.values.len()).contains(&(*row as usize))
+    /// Whether every corner has a row, that of its vertex or one that follows those of the vertices and belongs to no other
+    /// vertex, and all values are finite.
+    fn match_mesh(&self, triangles: &[[u32; 3]], vertex_count: usize) -> bool {
+        let Some(other_count) = self.values.len().checked_sub(vertex_count) else { return false };
+        // The vertex of each of the other rows, once one is known.
+        let mut vertex_of: Vec<Option<u32>> = vec![None; other_count];
+        let mut is_row = |(row, vertex): (&u32, &u32)| match (*row as usize).checked_sub(vertex_count) {
+            None => row == vertex,
+            Some(other) => {
+                vertex_of.get_mut(other).is_some_and(|known| *known.get_or_insert(*vertex) == *vertex)
+            }
         };
-        let mut corners = self.triangles.as_flattened().iter().zip(triangles.as_flattened());
-        let is_valid = is_texture
-            && self.values.len() >= vertex_count
-            && matches!(values, VertexValues::Numbers(_))
-            && self.triangles.len() == triangles.len()
-            && corners.all(is_row)
-            && all_finite(self.values.as_flattened());
-        if !is_valid {
-            let what = format!("the seams of attribute {name} do not match the mesh");
-            return Err(Error::invalid(format, Position::File, what));
-        }
-        Ok(())
+        self.triangles.len() == triangles.len()
+            && self.triangles.as_flattened().iter().zip(triangles.as_flattened()).all(&mut is_row)
+            && all_finite(self.values.as_flattened())
     }
 }
 

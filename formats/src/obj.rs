@@ -166,7 +166,7 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
             Purpose::Texture => {}
             Purpose::Velocity | Purpose::Acceleration | Purpose::Other => {
                 notes.push(format!(
-                    "{name} is missing in the .obj, which can only store colours and texture coordinates"
+                    "{name} is missing in the .obj, which can only store colours and one set of texture coordinates"
                 ));
             }
         }

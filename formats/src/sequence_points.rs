@@ -211,7 +211,12 @@ impl<'a> SequencePoints<'a> {
         let mut take = |column: &PointColumn| {
             let at =
                 frame.attributes.iter().position(|attribute| column.matches(&PointColumn::of(attribute)))?;
-            let PointColumn { name, role, .. } = column;
+            let PointColumn { name, role, kind, .. } = column;
+            let is_wider = *kind == ColumnKind::Integers { is_wide: false }
+                && PointColumn::of(&frame.attributes[at]).kind != *kind;
+            if is_wider {
+                return None;
+            }
             Some(FileAttribute { name: name.clone(), role: *role, ..frame.attributes.swap_remove(at) })
         };
         let attributes = self.columns.iter().map(&mut take).collect::<Option<_>>().ok_or_else(changed)?;

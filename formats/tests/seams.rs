@@ -2,13 +2,13 @@
 
 use std::io::Cursor;
 
-use meniscus_formats::gltf::GlbFrame;
+use meniscus_formats::gltf::{GlbFrame, SequenceFrame};
 use meniscus_formats::{
     AttributeRole, Content, FileAttribute, Limits, MeshOptions, MeshView, OutputFormat, SeamsView, Values,
-    VertexAttribute, VertexValues, abc, gltf, is_complete, ply, usdc,
+    VertexAttribute, VertexValues, abc, gltf, is_complete, ply, usda, usdc,
 };
 
-// A strip of two triangles and a third. The third is on another chart: two of its corners, at the vertices 1 and 3, have
+// A strip of two triangles and a third. The third is on another chart: two of its corners, at the vertices 1 and 2, have
 // other coordinates than their vertices.
 //
 //    3 ─── 2 ─── 4
@@ -33,9 +33,17 @@ fn with_mesh<T>(seams: Option<SeamsView>, run: impl FnOnce(&MeshView) -> T) -> T
         values,
         seams,
     };
-    let values = VertexValues::Numbers(&HEAT);
-    let heat = VertexAttribute { name: "heat", role: None, arity: 1, values, seams: None };
-    let attributes = [uv, heat];
+    let numbers = |name, role, arity, values| VertexAttribute {
+        name,
+        role,
+        arity,
+        values: VertexValues::Numbers(values),
+        seams: None,
+    };
+    let color = [0.5; 20];
+    let color = numbers("Cd", Some(AttributeRole::Color), 4, &color[..]);
+    // A name that texture coordinates have in USD.
+    let attributes = [color, numbers("st", None, 1, &HEAT), uv, numbers("heat", None, 1, &HEAT)];
     let (origin, normals) = ([0.0; 3], [[0.0, 0.0, 1.0]; 5]);
     run(&MeshView {
         positions: &POSITIONS,
@@ -51,7 +59,7 @@ fn written(format: OutputFormat, quads: &[bool]) -> Vec<u8> {
     let options = MeshOptions { quads: quads.into(), ..MeshOptions::default() };
     let mut bytes = Vec::new();
     with_mesh(Some(SeamsView { values: &ROWS, triangles: &CORNERS }), |mesh| {
-        assert_eq!((writer.attribute_notes)(&mesh.attributes[..1]), [""; 0]);
+        assert_eq!((writer.attribute_notes)(&mesh.attributes[2..3]), [""; 0]);
         writer.write(mesh, &options, &[], &mut bytes).expect("a sound mesh");
     });
     assert!(is_complete(format, &mut Cursor::new(&bytes)).expect("ours"));
@@ -86,6 +94,7 @@ fn usd_has_a_coordinate_for_each_corner() {
                   (0, 0.25), (0, 0)] (\n            interpolation = \"faceVarying\"\n        )\n";
     assert!(text.contains(values), "{text}");
     assert!(text.contains("int[] primvars:st:indices = [0, 1, 2, 0, 2, 3, 6, 4, 5]\n"), "{text}");
+    assert!(text.contains("float[] primvars:st_2 = [0.5, 1.5"), "{text}");
 
     let bytes = written(OutputFormat::Usdc, &[]);
     let layer = usdc::UsdcLayer::read(&bytes, &Limits::default()).expect("our own file");
@@ -95,7 +104,7 @@ fn usd_has_a_coordinate_for_each_corner() {
     assert_eq!(frame.mesh.triangles, TRIANGLES);
 }
 
-/// Checks the split vertices of a .glb, of which `name` is the name of the coordinates before.
+/// Checks the split vertices of a .glb.
 fn check_split(glb: &[u8]) {
     let attributes = gltf::read_attributes(glb, &Limits::default()).expect("our own file");
     let numbers = |name: &str| match attributes.iter().find(|attribute| attribute.name == name) {
@@ -124,12 +133,27 @@ fn glb_has_split_vertices_whichever_file_it_is_made_from() {
     ] {
         let (glb, notes): (Vec<u8>, Vec<String>) = to_glb(bytes, &limits).expect("our own file");
         check_split(&glb);
-        assert_eq!(notes, [""; 0]);
+        assert!(notes.iter().all(|note| note.contains("both vector and scalar")), "{notes:?}");
         assert_eq!(GlbFrame::read(&mut Cursor::new(&glb)).expect("a frame").vertex_count(), 7);
     }
     let attributes = abc::read_attributes(&written(OutputFormat::Abc, &[]), &limits).expect("our own file");
     let uv = attributes.iter().find(|attribute| attribute.name == "uv").expect("coordinates");
     assert_eq!(uv.values, Values::F32(ROWS[..5].as_flattened().to_vec()));
+}
+
+#[test]
+fn sequences_have_the_split_vertices_of_their_frames() {
+    let glb = written(OutputFormat::Glb, &[]);
+    let file = GlbFrame::read(&mut Cursor::new(&glb)).expect("a frame");
+    let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
+    let mut text = Vec::new();
+    usda::write_sequence(&shot, None, (24.0, 1.0), &[], |_| Ok(Cursor::new(&glb)), &mut text)
+        .expect("written");
+    let text = String::from_utf8(text).expect("UTF-8");
+    let declared = "texCoord2f[] primvars:st (\n            interpolation = \"vertex\"\n        )\n";
+    let values = "1: [(0.75, 0), (0.875, 0), (0.875, 0.25), (0.75, 0.25), (0.125, 0.25), (0, 0.25), (0, 0)]";
+    assert!(text.contains(declared) && text.contains(values), "{text}");
+    assert!(text.contains("1: [0, 1, 2, 0, 2, 3, 6, 4, 5]"), "{text}");
 }
 
 #[test]
@@ -159,6 +183,7 @@ fn seams_must_match_the_mesh() {
     fails(&ROWS[..6], &CORNERS);
     fails(&ROWS, &[[1, 0, 2], [0, 2, 3], [6, 4, 5]]);
     fails(&[[f32::NAN; 2]; 7], &CORNERS);
+    fails(&ROWS, &[[0, 1, 2], [0, 2, 3], [6, 4, 6]]);
     // The halves of a quad have different charts.
     let triangles = [[0, 1, 2], [0, 5, 3], [6, 4, 5]];
     let options = MeshOptions { quads: [true, false, false].as_slice().into(), ..MeshOptions::default() };

@@ -134,13 +134,11 @@ pub(super) fn refuse_times<'a>(
 }
 
 /// The only sequence of these files, for a command that needs exactly one; `why` is the reason for the error
-/// message. Points beside surfaces are left out, if there are other files: a pattern may match both.
+/// message.
 ///
 /// # Errors
 /// If there are several sequences, or none.
 pub(super) fn only_sequence(files: Vec<FrameFile>, why: &str) -> Result<Sequence> {
-    let (spray, others): (Vec<_>, Vec<_>) = files.into_iter().partition(|file| is_spray(&file.path));
-    let files = if others.is_empty() { spray } else { others };
     <[Sequence; 1]>::try_from(pipeline::sequences(files)).map(|[sequence]| sequence).map_err(|sequences| {
         let named = sequences.iter().take(SEQUENCES_NAMED).map(|sequence| &*sequence.name);
         let others = (sequences.len() > SEQUENCES_NAMED).then_some("..");
@@ -383,7 +381,10 @@ fn search(inputs: &[PathBuf], columns: Option<&ColumnNames>, may_be_empty: bool)
             Err(_) => found.add_pattern(input)?,
         }
     }
-    for file in std::mem::take(&mut found.files) {
+    // A pattern may match surfaces and the points beside them, which are not frames.
+    let (spray, others): (Vec<_>, Vec<_>) =
+        std::mem::take(&mut found.files).into_iter().partition(|file| is_spray(&file.path));
+    for file in if others.is_empty() { spray } else { others } {
         let path = file.path.clone();
         match frames_of(file) {
             Ok(frames) => found.files.extend(frames),

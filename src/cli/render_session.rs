@@ -341,7 +341,11 @@ fn add_surfaces(found: &mut MatchedInputs, surfaces: Vec<FrameFile>, folder: &Pa
             pluralize(count, "surface")
         ));
     }
-    new.sort_by_key(|file| !is_level_set(&file.path));
+    // All frames that have it use the same format: formats differ in their axes.
+    new.sort_by_key(|file| {
+        let extension = file.path.extension().unwrap_or_default().to_ascii_lowercase();
+        (!is_level_set(&file.path), extension)
+    });
     new.retain(|file| stems.insert(file.stem()));
     found.add(MatchedInputs { files: new, ..MatchedInputs::default() });
 }

@@ -249,6 +249,14 @@ fn meshes_become_the_pictures_of_their_level_set() {
     assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
     assert!(result.out.starts_with("o/block.vdb: "), "{}", result.out);
     assert_eq!(names_in(&path.join("pictures")), ["block.png"]);
+    // All frames have the same format, whatever the order of the files.
+    fs::create_dir(path.join("both")).expect("made");
+    for name in ["a.usdc", "b.glb", "b.usdc", "a.glb"] {
+        let format = name.split('.').next_back().expect("an extension");
+        fs::copy(path.join(format!("o/block.{format}")), path.join("both").join(name)).expect("copied");
+    }
+    let result = meniscus(path, &["render", "both", "--out", "of_both", "--size", "64x48"]);
+    assert!(result.out.contains("both/a.glb: ") && result.out.contains("both/b.glb: "), "{}", result.out);
     fs::remove_file(path.join("o/block.vdb")).expect("removed");
     fs::copy(path.join("block.ply"), path.join("o/other.ply")).expect("copied");
     let result = meniscus(path, &["render", "o/block.glb", "-o", "turn.exr", "--size", "64x48"]);

@@ -517,12 +517,26 @@ fn filled_cavities_are_bubbles() {
 }
 
 #[test]
+fn info_has_the_size_of_a_file_of_points() {
+    let folder = splash(true);
+    convert(folder.path(), "out", &["--format", "ply", "--spray-format", "usdc"]);
+    let path = folder.path().join("out/dam.2.spray.usdc");
+    let size = fs::metadata(&path).expect("written").len();
+    let result = meniscus(folder.path(), &["info", "out/dam.2.spray.usdc"]);
+    assert!(result.out.contains(&format!("dam.2.spray.usdc: binary USD, {size} bytes")), "{}", result.out);
+}
+
+#[test]
 fn a_pattern_of_surfaces_may_match_the_points_beside_them() {
     let folder = splash(true);
     convert(folder.path(), "out", &["--format", "ply"]);
     let result = meniscus(folder.path(), &["flicker", "out/*.ply", "--particles", "in"]);
     assert_eq!(result.status, 0, "{}", result.err);
     assert!(result.out.contains("dam.{}.ply: flicker"), "{}", result.out);
+    let result = meniscus(folder.path(), &["render", "out/*.ply", "--out", "pictures", "--size", "64x48"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    let pictures = (1..=9).map(|number| format!("dam.{number}.png"));
+    assert_eq!(names_in(&folder.path().join("pictures")), pictures.collect::<Vec<_>>());
 }
 
 #[test]

@@ -618,9 +618,9 @@ pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(V
     let (up, origin) = placement(&scene.world(mesh, None)?)?;
     let mut attributes = frame_attributes(&scene, mesh, positions.len())?;
     let mut seams = None;
-    if let Some((texture, corners)) = frame_texture(&scene, mesh)? {
+    if let Some((mut texture, corners)) = frame_texture(&scene, mesh)? {
+        seams = PlacedSeams::of(&mut texture, positions.len(), &triangles, corners);
         attributes.push(texture);
-        seams = PlacedSeams::of(&mut attributes, positions.len(), corners);
     }
     let provenance = own_head(&bytes).unwrap_or_default();
     drop(scene);
@@ -648,9 +648,9 @@ pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribut
     check_single_frame(&scene, limits)?;
     let vertices = scene::vectors(&scene, mesh.required(names::POSITIONS)?, 0)?.len();
     let mut attributes = frame_attributes(&scene, mesh, vertices)?;
-    if let Some((texture, corners)) = frame_texture(&scene, mesh)? {
+    if let Some((mut texture, corners)) = frame_texture(&scene, mesh)? {
+        PlacedSeams::of(&mut texture, vertices, &[], corners);
         attributes.push(texture);
-        PlacedSeams::of(&mut attributes, vertices, corners);
     }
     match attributes.iter().find(|attribute| attribute.values.len() != vertices * attribute.arity) {
         None => Ok(attributes),

@@ -13,7 +13,8 @@ use serde::{Serialize, Serializer};
 use super::frame_file::{ACCELERATION, COLOR, TEXTURE, VELOCITY, flipped};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
 use crate::data::{
-    FileAttribute, MeshView, Provenance, SeamsView, Values, VertexAttribute, VertexValues, bounds_of,
+    AttributeRole, FileAttribute, MeshView, Provenance, SeamsView, Values, VertexAttribute, VertexValues,
+    bounds_of,
 };
 use crate::error::{Error, Position, Result};
 use crate::number::{write_f32s, write_pieces};
@@ -132,28 +133,25 @@ pub(crate) struct PlacedMesh {
     pub(crate) seams: Option<PlacedSeams>,
 }
 
-/// The seams of a mesh of one frame.
+/// The seams of the texture coordinates of a mesh of one frame, as in [`SeamsView`].
 pub(crate) struct PlacedSeams {
-    /// Index of the attribute that has them.
-    pub(crate) attribute: usize,
-    /// As in [`SeamsView`].
     pub(crate) values: Vec<[f32; 2]>,
     pub(crate) triangles: Vec<[u32; 3]>,
 }
 
 impl PlacedSeams {
-    /// Separates the values of all rows from those of the vertices, which the last attribute keeps. `triangles` has the rows
-    /// of the corners of the triangles. `None` if no corner differs from its vertex.
+    /// Separates the values of all rows from those of the vertices, which the attribute keeps. `corners` has the rows of the
+    /// corners of the triangles. `None` if no corner differs from its vertex.
     pub(crate) fn of(
-        attributes: &mut [FileAttribute],
+        texture: &mut FileAttribute,
         vertex_count: usize,
-        triangles: Vec<[u32; 3]>,
+        triangles: &[[u32; 3]],
+        corners: Vec<[u32; 3]>,
     ) -> Option<PlacedSeams> {
-        let attribute = attributes.len().checked_sub(1)?;
-        let Values::F32(values) = &mut attributes[attribute].values else { return None };
+        let Values::F32(values) = &mut texture.values else { return None };
         let rows = values.as_chunks().0.to_vec();
         values.truncate(2 * vertex_count);
-        (rows.len() > vertex_count).then_some(PlacedSeams { attribute, values: rows, triangles })
+        (corners != triangles).then_some(PlacedSeams { values: rows, triangles: corners })
     }
 }
 
@@ -168,8 +166,8 @@ impl PlacedMesh {
     ) -> Result<(Vec<u8>, Vec<String>)> {
         let seams = self.seams.as_ref();
         let mut views: Vec<VertexAttribute> = Vec::new();
-        for (index, attribute) in self.attributes.iter().enumerate() {
-            let seams = seams.filter(|seams| seams.attribute == index);
+        for attribute in &self.attributes {
+            let seams = seams.filter(|_| attribute.role == Some(AttributeRole::TextureCoordinates));
             let seams = seams.map(|PlacedSeams { values, triangles, .. }| SeamsView { values, triangles });
             views.extend(attribute.view().map(|view| VertexAttribute { seams, ..view }));
         }

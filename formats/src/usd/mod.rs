@@ -228,7 +228,7 @@ pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool], is_clip: bo
     ]);
     for (attribute, property) in mesh.attributes.iter().zip(usd_properties(mesh.attributes)) {
         match (&property, texture_of(mesh)) {
-            (UsdProperty::Texture(name), Some(texture)) => found.extend(of_texture(name, texture, quads)),
+            (UsdProperty::Texture, Some(texture)) => found.extend(of_texture(texture, quads)),
             _ => found.extend(properties_of(attribute, &property)),
         }
     }
@@ -292,11 +292,11 @@ enum UsdProperty {
     Velocities,
     Accelerations,
     Color,
-    Texture(String),
+    Texture,
     Primvar(String),
 }
 
-/// The usual name of texture coordinates, and their type.
+/// The name of texture coordinates, and their type.
 pub(crate) const TEXTURE: &str = "st";
 pub(crate) const TEXTURE_KIND: &str = "texCoord2f[]";
 
@@ -309,14 +309,18 @@ const TUPLE_MAX: usize = 4;
 /// The property of each attribute.
 fn usd_properties(attributes: &[VertexAttribute]) -> Vec<UsdProperty> {
     let mut used = UsedNames::new(&RESERVED);
+    let purposes = purposes(attributes);
+    if purposes.contains(&Purpose::Texture) {
+        used.take(TEXTURE);
+    }
     let property = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
         Purpose::Velocity => UsdProperty::Velocities,
         Purpose::Acceleration => UsdProperty::Accelerations,
         Purpose::Color(_) => UsdProperty::Color,
-        Purpose::Texture => UsdProperty::Texture(used.take(TEXTURE)),
+        Purpose::Texture => UsdProperty::Texture,
         Purpose::Other => UsdProperty::Primvar(used.take(&identifier(attribute.name))),
     };
-    attributes.iter().zip(purposes(attributes)).map(property).collect()
+    attributes.iter().zip(purposes).map(property).collect()
 }
 
 /// A valid USD identifier for a name.
@@ -389,10 +393,7 @@ fn properties_of<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) ->
         }
         // `purposes` gives these roles only to floats, and a mesh has the properties of textures.
         (
-            UsdProperty::Velocities
-            | UsdProperty::Accelerations
-            | UsdProperty::Color
-            | UsdProperty::Texture(_),
+            UsdProperty::Velocities | UsdProperty::Accelerations | UsdProperty::Color | UsdProperty::Texture,
             _,
         ) => Vec::new(),
     }
@@ -401,11 +402,10 @@ fn properties_of<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) ->
 /// The properties of texture coordinates: distinct values, and the index of each corner. A prim has one interpolation for
 /// all frames, so corners have indices even in a frame without seams.
 fn of_texture<'a>(
-    name: &str,
     SeamsView { values, triangles }: SeamsView<'a>,
     quads: &'a [bool],
 ) -> [MeshProperty<'a>; 2] {
-    let name = format!("primvars:{name}");
+    let name = format!("primvars:{TEXTURE}");
     let values = MeshProperty::array(TEXTURE_KIND, &name, Elements::reals(values.as_flattened(), 2));
     let indices = Elements::FaceCorners { triangles, quads };
     [

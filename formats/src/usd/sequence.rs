@@ -77,6 +77,11 @@ impl<'a> UsdSequence<'a> {
         ];
         let (shared, mut notes) = shared_attributes(self.frames)?;
         let mut used = UsedNames::new(&RESERVED);
+        let has_texture =
+            |attribute: &SharedAttribute| attribute.semantic == GLTF_TEXTURE && attribute.arity == 2;
+        if shared.iter().any(has_texture) {
+            used.take(TEXTURE);
+        }
         for SharedAttribute { semantic, name, arity } in shared {
             let attribute = |about, first, arity| SequenceAttribute::new(&semantic, about, first, arity);
             match (semantic.as_str(), arity) {
@@ -89,7 +94,7 @@ impl<'a> UsdSequence<'a> {
                 }
                 // The vertices are split at seams, as in the frames.
                 (GLTF_TEXTURE, 2) => {
-                    found.push(attribute((TEXTURE_KIND, &format!("primvars:{}", used.take(TEXTURE))), 0, 2));
+                    found.push(attribute((TEXTURE_KIND, &format!("primvars:{TEXTURE}")), 0, 2));
                 }
                 _ => {
                     let kind = format!("{}[]", vector("float", arity));

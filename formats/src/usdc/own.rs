@@ -146,15 +146,18 @@ impl<'a> UsdcLayer<'a> {
         };
         let mut attributes: Vec<FileAttribute> = arrays.into_iter().map(attribute).collect();
         let mut seams = None;
-        if let Some((NamedArray { values, arity: 2, .. }, _)) = rows {
-            let indices = format!("{texture}{INDICES}");
-            let row_count = values.len() / 2;
+        if let Some((NamedArray { values, arity, .. }, _)) = rows {
+            let (indices, row_count) = (format!("{texture}{INDICES}"), values.len() / 2);
             let corners = rows_of_corners(&self.stage, &self.mesh, &indices, row_count, time)?;
-            let role = Some(AttributeRole::TextureCoordinates);
-            attributes.push(FileAttribute { name: TEXTURE.to_owned(), arity: 2, role, values });
             // A sequence has no indices: its vertices are split.
+            if arity != 2 || corners.is_none() && row_count != count {
+                return Err(unexpected(&texture));
+            }
+            let role = Some(AttributeRole::TextureCoordinates);
+            let mut texture = FileAttribute { name: TEXTURE.to_owned(), arity, role, values };
             let corners = corners.unwrap_or_else(|| triangles.clone());
-            seams = PlacedSeams::of(&mut attributes, count, corners);
+            seams = PlacedSeams::of(&mut texture, count, &triangles, corners);
+            attributes.push(texture);
         }
         let [x, y, z, _] = matrix[3];
         Ok(PlacedMesh { positions, normals, triangles, origin: [x, y, z], attributes, seams })
@@ -176,7 +179,7 @@ fn layer_info(layer: &Layer) -> Result<LayerInfo> {
         (Some(vertices), Some(faces)) => Ok(LayerInfo { vertices, faces, frames: number("frames")? }),
         _ => Err(Error::unsupported(
             FORMAT,
-            "another program wrote this file, which has no summary of its mesh",
+            "this file has no summary of a mesh: another program wrote it, or it has points",
         )),
     }
 }

@@ -12,8 +12,8 @@
 //!     <AppendedData encoding="raw"> _ [bytes] data  [bytes] data ..
 //! ```
 //!
-//! Attributes have their own names. Vertices are split at the seams of texture coordinates. Those of particles have their own types; integers of a mesh have 32 bits
-//! if all fit, else 64. Positions of a mesh are 64-bit floats if it has an origin other than zero. Each
+//! Attributes have their own names. Those of particles have their own types; integers of a mesh have 32 bits
+//! if all fit, else 64. Vertices are split at the seams of texture coordinates. Positions of a mesh are 64-bit floats if it has an origin other than zero. Each
 //! particle is also a cell, so that ParaView displays it. Axes are not converted, because VTK has no notion of
 //! up. VTK's XML files store strings as the decimal codes of their bytes, with a zero after each string.
 

@@ -185,7 +185,12 @@ impl FileInfo {
             }
         };
         self.time = time_of_frame(path);
-        self.fill_content(path, &bytes, columns)
+        self.fill_content(path, &bytes, columns)?;
+        if step_of(path).is_none() {
+            // The frame of a container is packed anew, and has another size.
+            self.bytes = usize::try_from(path.metadata()?.len())?;
+        }
+        Ok(())
     }
 
     /// Describes the content of a file.

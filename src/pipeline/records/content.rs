@@ -180,14 +180,14 @@ pub(crate) enum SprayOfMesh {
 /// The setting, as recorded with a mesh, whose points are beside it.
 const SPRAY_SETTING: &str = "spray";
 
-/// Formats in which points are looked for, first those with the types of USD and Alembic.
+/// Formats in which points are looked for: last those without provenance, whose files may be of an earlier run.
 const LOOKED_FOR: [PointFormat; 7] = [
     PointFormat::Usdc,
     PointFormat::Usda,
     PointFormat::Abc,
     PointFormat::Vtp,
-    PointFormat::Bgeo,
     PointFormat::Ply,
+    PointFormat::Bgeo,
     PointFormat::Npy,
 ];
 
@@ -204,12 +204,14 @@ pub(crate) fn spray_of(mesh: &Path, recorded: &[(String, String)]) -> SprayOfMes
     let mut other = None;
     for format in LOOKED_FOR {
         let path = spray_path(folder, &stem.to_string_lossy(), format);
-        let head = head_and_name(&path).ok();
-        match head.map(|(head, name)| spray_provenance_in(&head, &name)) {
-            Some(Some(pairs)) if pairs.iter().all(is_recorded) => return SprayOfMesh::Found(path, format),
-            Some(_) => drop(other.get_or_insert(path)),
-            None => {}
+        let found = match head_and_name(&path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
+            head => head.ok().and_then(|(head, name)| spray_provenance_in(&head, &name)),
+        };
+        if found.is_some_and(|pairs| pairs.iter().all(is_recorded)) {
+            return SprayOfMesh::Found(path, format);
         }
+        other.get_or_insert(path);
     }
     other.map_or(SprayOfMesh::Missing, SprayOfMesh::Other)
 }

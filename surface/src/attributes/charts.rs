@@ -51,8 +51,17 @@ const JUMP: f32 = 4.0;
 /// half of the particles around one at a seam belong to another chart.
 const USUAL: f64 = 0.4;
 
+/// The fraction of the particles around a particle whose usual difference is at most that which counts.
+const CLEAN: f64 = 0.25;
+
 /// With fewer particles around a particle, its usual difference is unknown, and taken as zero.
 const KNOWN_MIN: usize = 4;
+
+/// The most particles around a point that are looked at: the nearest. More are there only if they nearly coincide.
+const AROUND_MAX: usize = 256;
+
+/// Coordinates that differ by less are the same.
+const SAME: f32 = 1e-5;
 
 /// A difference that is never a jump: a texel of a large texture.
 const TEXEL: f32 = 1.0 / 4096.0;
@@ -77,27 +86,21 @@ pub(super) fn fit_charts(
     let particles =
         ChartParticles::new(source, source.numbers[number].values.as_chunks().0, (count, point_of));
     let values = interpolated.numbers[number].as_chunks_mut::<2>().0;
-    let mut owners = vec![NO_PARTICLE; count];
-    let chunks = values.par_chunks_mut(CHUNK).zip(owners.par_chunks_mut(CHUNK)).enumerate().halved();
-    let several: Vec<Vec<SeveralCharts>> = chunks
-        .map_init(Vec::new, |around, (chunk, (values, owners))| {
+    let mut own = vec![OwnChart::default(); count];
+    values.par_chunks_mut(CHUNK).zip(own.par_chunks_mut(CHUNK)).enumerate().halved().for_each_init(
+        Vec::new,
+        |around, (chunk, (values, own))| {
             checkpoint();
-            let mut several = Vec::new();
-            for (offset, (value, owner)) in values.iter_mut().zip(owners).enumerate() {
-                let vertex = chunk * CHUNK + offset;
-                let mut charts = particles.charts_at(point_of(vertex), around);
-                let Some(first) = charts.first() else { continue };
-                (*value, *owner) = (first.value, first.members[0]);
-                if charts.len() > 1 {
-                    charts.iter_mut().for_each(|chart| chart.members.sort_unstable());
-                    several.push(SeveralCharts { vertex: vertex as u32, charts });
+            for (offset, (value, own)) in values.iter_mut().zip(own).enumerate() {
+                let charts = particles.charts_at(point_of(chunk * CHUNK + offset), around);
+                if let Some(first) = charts.first() {
+                    *value = first.value;
+                    *own = OwnChart { particle: first.members[0], is_alone: charts.len() == 1 };
                 }
             }
-            several
-        })
-        .collect();
-    let vertices = VertexCharts { particles, owners, several: several.concat() };
-    vertices.seams(mesh, point_of, values, attribute)
+        },
+    );
+    VertexCharts { particles, own }.seams(mesh, point_of, values, attribute)
 }
 
 /// The particles near the vertices.
@@ -123,30 +126,37 @@ impl ChartParticles {
         let coordinates: Vec<[f32; 2]> = indices.iter().map(|&index| coordinates[index as usize]).collect();
         let neighbors = Neighbors::new(&positions, radius);
         let mut particles = ChartParticles { neighbors, positions, coordinates, slopes: Vec::new() };
-        let slopes = (0..particles.coordinates.len()).into_par_iter().halved();
-        particles.slopes =
-            slopes.map_init(Default::default, |ratios, index| particles.slopes_at(index, ratios)).collect();
+        let all = || (0..particles.coordinates.len()).into_par_iter().halved();
+        let own: Vec<[f32; 2]> =
+            all().map_init(Default::default, |ratios, index| particles.slopes_at(index, ratios)).collect();
+        particles.slopes = all()
+            .map_init(Default::default, |near, index| particles.clean_slopes_at(index, &own, near))
+            .collect();
         particles
     }
 
-    fn slopes_at(&self, index: usize, ratios: &mut [Vec<f32>; 2]) -> [f32; 2] {
-        ratios.iter_mut().for_each(Vec::clear);
+    fn slopes_at(&self, index: usize, changes: &mut [Changes; 2]) -> [f32; 2] {
+        changes.iter_mut().for_each(Changes::clear);
         visit_near(&self.neighbors, &self.positions, self.positions.position(index), |other, _, offset| {
             let apart = (offset.length() * self.neighbors.edge_world()) as f32;
             if apart > 0.0 {
-                for (ratios, difference) in ratios.iter_mut().zip(self.differences(index, other as usize)) {
-                    ratios.extend(Some(difference / apart).filter(|ratio| ratio.is_finite()));
+                for (changes, difference) in changes.iter_mut().zip(self.differences(index, other as usize)) {
+                    changes.push(difference, apart);
                 }
             }
         });
-        ratios.each_mut().map(|ratios| {
-            let usual = (USUAL * ratios.len() as f64) as usize;
-            if ratios.len() < KNOWN_MIN {
-                0.0
-            } else {
-                *ratios.select_nth_unstable_by(usual, f32::total_cmp).1
+        changes.each_mut().map(Changes::usual)
+    }
+
+    /// The lower quartile of these slopes around a particle: where charts are mixed, some particles near by are not.
+    fn clean_slopes_at(&self, index: usize, own: &[[f32; 2]], near: &mut [Vec<f32>; 2]) -> [f32; 2] {
+        near.iter_mut().for_each(Vec::clear);
+        visit_near(&self.neighbors, &self.positions, self.positions.position(index), |other, _, _| {
+            for (near, slope) in near.iter_mut().zip(own[other as usize]) {
+                near.push(slope);
             }
-        })
+        });
+        near.each_mut().map(|near| part_of(near, CLEAN))
     }
 
     fn differences(&self, one: usize, other: usize) -> [f32; 2] {
@@ -183,6 +193,7 @@ impl ChartParticles {
             one.distance_squared.total_cmp(&other.distance_squared).then(one.particle.cmp(&other.particle))
         });
         let mut charts = Vec::new();
+        around.truncate(AROUND_MAX);
         while !around.is_empty() {
             charts.push(self.take_chart(around));
         }
@@ -208,6 +219,54 @@ impl ChartParticles {
     }
 }
 
+/// How much a coordinate changes from one particle to those around it.
+#[derive(Default)]
+struct Changes {
+    /// How many have the same coordinate.
+    same_count: usize,
+    /// The changes per world unit of the others.
+    slopes: Vec<f32>,
+    least: f32,
+    greatest: f32,
+}
+
+impl Changes {
+    fn clear(&mut self) {
+        self.slopes.clear();
+        (self.same_count, self.least, self.greatest) = (0, f32::INFINITY, 0.0);
+    }
+
+    fn push(&mut self, difference: f32, apart: f32) {
+        if difference <= SAME {
+            self.same_count += 1;
+        } else if difference.is_finite() {
+            self.slopes.push(difference / apart);
+            (self.least, self.greatest) = (self.least.min(difference), self.greatest.max(difference));
+        }
+    }
+
+    /// The [usual](USUAL) change per world unit. On a lattice, many particles have the same coordinate even if it changes
+    /// along an axis; but where charts of constant coordinates meet, there is one difference only.
+    fn usual(&mut self) -> f32 {
+        let all = self.same_count + self.slopes.len();
+        if all < KNOWN_MIN {
+            return 0.0;
+        }
+        let place = (USUAL * all as f64) as usize;
+        match place.checked_sub(self.same_count) {
+            Some(place) => *self.slopes.select_nth_unstable_by(place, f32::total_cmp).1,
+            None if self.greatest >= 1.5 * self.least => part_of(&mut self.slopes, USUAL),
+            None => 0.0,
+        }
+    }
+}
+
+/// The number below which there is this fraction of the numbers; 0 without numbers.
+fn part_of(numbers: &mut [f32], fraction: f64) -> f32 {
+    let at = (fraction * numbers.len() as f64) as usize;
+    if at < numbers.len() { *numbers.select_nth_unstable_by(at, f32::total_cmp).1 } else { 0.0 }
+}
+
 /// A particle within the radius of a point.
 struct ParticleNear {
     distance_squared: f64,
@@ -218,18 +277,25 @@ struct ParticleNear {
 }
 
 /// A chart at a vertex.
-#[derive(Clone)]
 struct Chart {
     value: [f32; 2],
     /// Its particles within the radius.
     members: Vec<u32>,
 }
 
-/// The charts at a vertex that has more than one. Their members are sorted.
-#[derive(Clone)]
-struct SeveralCharts {
-    vertex: u32,
-    charts: Vec<Chart>,
+/// The first chart at a vertex.
+#[derive(Clone, Copy)]
+struct OwnChart {
+    /// The particle nearest to the vertex, or [`NO_PARTICLE`].
+    particle: u32,
+    /// Whether the vertex has no other chart.
+    is_alone: bool,
+}
+
+impl Default for OwnChart {
+    fn default() -> OwnChart {
+        OwnChart { particle: NO_PARTICLE, is_alone: true }
+    }
 }
 
 /// A chart at a vertex other than its first.
@@ -237,7 +303,7 @@ struct SeveralCharts {
 enum OtherChart {
     /// By its index.
     Near(u32),
-    /// That of a particle from which no particle within the radius is on the chart.
+    /// That of a particle with which no particle within the radius shares a chart.
     Far(u32),
 }
 
@@ -249,15 +315,13 @@ struct SeamCorner {
     corner: usize,
     /// The vertex, and the chart there.
     row: (u32, OtherChart),
+    value: [f32; 2],
 }
 
 /// The charts at all vertices.
 struct VertexCharts {
     particles: ChartParticles,
-    /// The particle nearest to each vertex.
-    owners: Vec<u32>,
-    /// Sorted by vertex.
-    several: Vec<SeveralCharts>,
+    own: Vec<OwnChart>,
 }
 
 impl VertexCharts {
@@ -273,17 +337,18 @@ impl VertexCharts {
             .par_chunks(CHUNK)
             .enumerate()
             .halved()
-            .map(|(chunk, triangles)| {
+            .map_init(Vec::new, |around, (chunk, triangles)| {
                 checkpoint();
                 let mut found = Vec::new();
                 for (index, triangle) in (chunk * CHUNK..).zip(triangles) {
-                    let Some(owner) = self.owner(triangle, point_of) else { continue };
+                    let Some(particle) = self.particle_of(triangle, point_of) else { continue };
                     for (corner, &vertex) in triangle.iter().enumerate() {
-                        let chart = self.chart_with(vertex, owner, point_of);
-                        found.extend(chart.map(|chart| SeamCorner {
+                        let chart = self.other_chart(vertex, particle, point_of, around);
+                        found.extend(chart.map(|(chart, value)| SeamCorner {
                             triangle: index,
                             corner,
                             row: (vertex, chart),
+                            value,
                         }));
                     }
                 }
@@ -294,64 +359,66 @@ impl VertexCharts {
         if corners.is_empty() {
             return None;
         }
-        let mut rows: Vec<(u32, OtherChart)> = corners.iter().map(|found| found.row).collect();
-        rows.sort_unstable();
-        rows.dedup();
-        // Rows beyond 32 bits do not occur: there are fewer than corners of a mesh whose vertices have such indices.
-        let row_of = |row| (values.len() + rows.binary_search(&row).unwrap_or_default()) as u32;
+        let mut others: Vec<((u32, OtherChart), [f32; 2])> =
+            corners.iter().map(|found| (found.row, found.value)).collect();
+        others.sort_unstable_by_key(|(row, _)| *row);
+        others.dedup_by_key(|(row, _)| *row);
+        // Such a mesh would need more than 100 GB.
+        u32::try_from(values.len() + others.len()).ok()?;
         let mut triangles = mesh.triangles.clone();
-        for SeamCorner { triangle, corner, row } in corners {
-            triangles[triangle][corner] = row_of(row);
+        for SeamCorner { triangle, corner, row, .. } in corners {
+            let other = others.binary_search_by_key(&row, |(row, _)| *row).unwrap_or_default();
+            triangles[triangle][corner] = (values.len() + other) as u32;
         }
-        let others = rows.iter().map(|&(vertex, chart)| match chart {
-            OtherChart::Near(index) => self.charts(vertex)[index as usize].value,
-            OtherChart::Far(particle) => self.particles.coordinates[particle as usize],
-        });
-        let values = values.iter().copied().chain(others).collect();
+        let values = values.iter().copied().chain(others.into_iter().map(|(_, value)| value)).collect();
         Some(Seams { attribute, values, triangles })
     }
 
     /// The particle whose chart a triangle has: of those nearest to its vertices, the one nearest to its middle. `None`
     /// without a choice.
-    fn owner(&self, triangle: &[u32; 3], point_of: &impl Fn(usize) -> DVec3) -> Option<u32> {
-        let owners = triangle.map(|vertex| self.owners[vertex as usize]);
-        if owners.contains(&NO_PARTICLE) || owners.iter().all(|owner| *owner == owners[0]) {
+    fn particle_of(&self, triangle: &[u32; 3], point_of: &impl Fn(usize) -> DVec3) -> Option<u32> {
+        let nearest = triangle.map(|vertex| self.own[vertex as usize].particle);
+        if nearest.iter().all(|particle| *particle == nearest[0]) {
             return None;
         }
         let middle = triangle.iter().map(|vertex| point_of(*vertex as usize)).sum::<DVec3>() / 3.0;
-        let away = |owner: u32| self.particles.positions.position(owner as usize).distance_squared(middle);
-        owners.into_iter().min_by(|one, other| away(*one).total_cmp(&away(*other)).then(one.cmp(other)))
+        let away =
+            |particle: u32| self.particles.positions.position(particle as usize).distance_squared(middle);
+        let known = nearest.into_iter().filter(|particle| *particle != NO_PARTICLE);
+        known.min_by(|one, other| away(*one).total_cmp(&away(*other)).then(one.cmp(other)))
     }
 
-    /// The chart of a particle at a vertex; `None` if it is the first.
-    fn chart_with(
+    /// The chart of a particle at a vertex, and its value there; `None` if it is the first, or the vertex has no particle
+    /// within the radius.
+    fn other_chart(
         &self,
         vertex: u32,
         particle: u32,
         point_of: &impl Fn(usize) -> DVec3,
-    ) -> Option<OtherChart> {
-        let ChartParticles { neighbors, positions, .. } = &self.particles;
-        let own = self.owners[vertex as usize];
-        let charts = self.charts(vertex);
-        if charts.is_empty() {
-            let away = positions.position(particle as usize).distance(point_of(vertex as usize));
-            let is_first = away < neighbors.edge_world() || self.particles.are_together(own, particle);
-            return (!is_first).then_some(OtherChart::Far(particle));
+        around: &mut Vec<ParticleNear>,
+    ) -> Option<(OtherChart, [f32; 2])> {
+        let own = self.own[vertex as usize];
+        if [NO_PARTICLE, particle].contains(&own.particle) {
+            return None;
         }
-        let with = charts.iter().position(|chart| chart.members.binary_search(&particle).is_ok());
+        let point = point_of(vertex as usize);
+        let positions = &self.particles.positions;
         let is_near =
-            |chart: &Chart| chart.members.iter().any(|near| self.particles.are_together(*near, particle));
-        match with.or_else(|| charts.iter().position(is_near)) {
-            Some(0) => None,
-            Some(index) => Some(OtherChart::Near(index as u32)),
-            None => Some(OtherChart::Far(particle)),
+            positions.position(particle as usize).distance(point) < self.particles.neighbors.edge_world();
+        let far = (OtherChart::Far(particle), self.particles.coordinates[particle as usize]);
+        if own.is_alone {
+            let is_first = is_near || self.particles.are_together(own.particle, particle);
+            return (!is_first).then_some(far);
         }
-    }
-
-    /// The charts at a vertex; empty if it has only one.
-    fn charts(&self, vertex: u32) -> &[Chart] {
-        let found = self.several.binary_search_by_key(&vertex, |several| several.vertex);
-        found.map_or(&[], |index| &self.several[index].charts)
+        let charts = self.particles.charts_at(point, around);
+        let with = charts.iter().position(|chart| chart.members.contains(&particle));
+        let shares =
+            |chart: &Chart| chart.members.iter().any(|near| self.particles.are_together(*near, particle));
+        match with.or_else(|| charts.iter().position(shares)) {
+            Some(0) => None,
+            Some(index) => Some((OtherChart::Near(index as u32), charts[index].value)),
+            None => Some(far),
+        }
     }
 }
 
@@ -366,6 +433,11 @@ mod tests {
 
     /// A ball of jittered particles and its surface, with these coordinates.
     fn surface_with(coordinates: impl Fn(DVec3) -> [f32; 2]) -> Surface {
+        surface_beside(&[], 0.4, coordinates)
+    }
+
+    /// The same with other particles, which are the last, and displacements from a lattice up to half of `jitter`.
+    fn surface_beside(others: &[DVec3], jitter: f64, coordinates: impl Fn(DVec3) -> [f32; 2]) -> Surface {
         let mut state = 7_u32;
         let mut random = || {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -374,11 +446,12 @@ mod tests {
         let mut points = Vec::new();
         for cell in 0..17_i32.pow(3) {
             let cell = DVec3::new((cell % 17).into(), (cell / 17 % 17).into(), (cell / 289).into()) - 8.0;
-            let point = SPACING * (cell + 0.4 * DVec3::new(random(), random(), random()));
+            let point = SPACING * (cell + jitter * DVec3::new(random(), random(), random()));
             if point.length() < 0.8 {
                 points.push(point);
             }
         }
+        points.extend_from_slice(others);
         let values = points.iter().flat_map(|point| coordinates(*point)).collect();
         let values = AttributeValues::Numbers(values);
         let role = Role::TextureCoordinates;
@@ -469,10 +542,49 @@ mod tests {
     }
 
     #[test]
+    fn charts_that_are_mixed_at_their_edge_are_not_averaged() {
+        // The edge is a wave, and particles on both sides of it have crossed it.
+        let is_second = |at: DVec3| at.x + 0.15 * (20.0 * at.y).sin() + 0.06 * (1e5 * at.z).sin() > 0.02;
+        let sloped = |at: DVec3| {
+            if is_second(at) { [0.7 + 0.1 * at.y as f32, 0.6] } else { [0.1, 0.2 + 0.1 * at.z as f32] }
+        };
+        let constant = |at: DVec3| if is_second(at) { [0.7, 0.6] } else { [0.1, 0.2] };
+        for surface in [surface_with(sloped), surface_with(constant)] {
+            for triangle in corners(&surface) {
+                let is_second = triangle.map(|([u, v], _)| (u > 0.4, v > 0.4));
+                assert!(is_second.iter().all(|is| is.0 == is.1 && *is == is_second[0]), "{triangle:?}");
+            }
+            assert!(surface.seams.is_some());
+        }
+    }
+
+    #[test]
+    fn far_particles_change_nothing() {
+        let wrapped = |point: DVec3| [around(point) as f32, point.z as f32];
+        let (alone, beside) = (surface_with(wrapped), surface_beside(&[DVec3::splat(7.0); 3], 0.4, wrapped));
+        let [alone, beside] = [&alone, &beside].map(corners);
+        assert!(beside.len() > alone.len());
+        // The drop of the others comes after the ball, or before it.
+        let of_ball = beside.iter().filter(|triangle| triangle[0].1.length() < 2.0);
+        assert!(of_ball.eq(alone.iter()));
+    }
+
+    #[test]
+    fn coincident_particles_are_bounded_work() {
+        let noise = |point: DVec3| [(1e9 * point.x).sin() as f32, (1e9 * point.y).cos() as f32];
+        let crowd: Vec<DVec3> =
+            (0..3000).map(|index| DVec3::new(0.5, 0.5, 0.5) + 1e-6 * f64::from(index)).collect();
+        assert!(!surface_beside(&crowd, 0.4, noise).triangles.is_empty());
+    }
+
+    #[test]
     fn smooth_coordinates_have_no_seams() {
         let waves = |point: DVec3| [0.5 + 0.3 * (4.0 * point.x).sin() as f32, 0.2 * point.y as f32];
         assert!(surface_with(waves).seams.is_none());
         assert!(surface_with(|_| [0.25, 0.5]).seams.is_none());
+        // On a lattice, many particles around each have its coordinate.
+        let along = |at: DVec3| [0.5 * at.x as f32, 2.0 * at.z as f32];
+        assert!(surface_beside(&[], 0.0, along).seams.is_none());
         assert!(surface_with(|_| [f32::NAN, 0.5]).seams.is_none());
     }
 }

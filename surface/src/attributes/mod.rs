@@ -29,7 +29,8 @@
 //! particles has no values of its own. The mean has no voxel-sized detail, so it is computed for every second
 //! voxel along each axis, and the voxels in between are interpolated.
 //!
-//! Invariants: values depend only on the particles within the radius, or on those that reach the point.
+//! Invariants: values depend only on the particles within the radius, or on those that reach the point; texture
+//! coordinates, on those within three radii of the vertices of a triangle.
 //! Changes farther away, and the number of threads, leave the values bit-identical, however large the other
 //! particles are.
 
