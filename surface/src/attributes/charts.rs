@@ -135,8 +135,8 @@ impl ChartParticles {
         particles
     }
 
-    fn slopes_at(&self, index: usize, changes: &mut [Changes; 2]) -> [f32; 2] {
-        changes.iter_mut().for_each(Changes::clear);
+    fn slopes_at(&self, index: usize, changes: &mut [CoordinateChanges; 2]) -> [f32; 2] {
+        changes.iter_mut().for_each(CoordinateChanges::clear);
         visit_near(&self.neighbors, &self.positions, self.positions.position(index), |other, _, offset| {
             let apart = (offset.length() * self.neighbors.edge_world()) as f32;
             if apart > 0.0 {
@@ -145,7 +145,7 @@ impl ChartParticles {
                 }
             }
         });
-        changes.each_mut().map(Changes::usual)
+        changes.each_mut().map(CoordinateChanges::usual)
     }
 
     /// The lower quartile of these slopes around a particle: where charts are mixed, some particles near by are not.
@@ -221,7 +221,7 @@ impl ChartParticles {
 
 /// How much a coordinate changes from one particle to those around it.
 #[derive(Default)]
-struct Changes {
+struct CoordinateChanges {
     /// How many have the same coordinate.
     same_count: usize,
     /// The changes per world unit of the others.
@@ -230,7 +230,7 @@ struct Changes {
     greatest: f32,
 }
 
-impl Changes {
+impl CoordinateChanges {
     fn clear(&mut self) {
         self.slopes.clear();
         (self.same_count, self.least, self.greatest) = (0, f32::INFINITY, 0.0);
