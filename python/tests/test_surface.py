@@ -279,7 +279,7 @@ def test_small_pieces_are_spray():
     drops = np.array([[0, 0, 3], [1, 0, 3], [1.1, 0, 3]], np.float32)
     points = np.concatenate([drops, lattice(6)])
     heat = np.arange(len(points), dtype=np.float32)
-    made = pm.reconstruct(points, {"heat": heat}, spacing=0.1, spray=20)
+    made = pm.reconstruct(points, attributes={"heat": heat}, spacing=0.1, spray=20)
     assert made.certificate.holds and made.report["particles"] == 216 and made.vertices[:, 2].max() < 1
     assert made.report["spray"] == {"particles": 3, "drops": 1, "clusters": 1, "filaments": 0, "bubbles": 0}
     assert np.array_equal(made.spray.positions, drops) and made.spray["heat"].tolist() == [0, 1, 2]
