@@ -81,19 +81,22 @@ pub(crate) fn nothing() -> Mesh {
     Mesh { positions, normals, triangles, quads, heat, velocity, color, ids, names, ..mesh }
 }
 
+/// An attribute with these numbers, and without seams.
+pub(crate) fn of_numbers<'a>(
+    name: &'a str,
+    role: Option<AttributeRole>,
+    arity: usize,
+    values: &'a [f32],
+) -> VertexAttribute<'a> {
+    VertexAttribute { name, role, arity, values: VertexValues::Numbers(values), seams: None }
+}
+
 impl Mesh {
     pub(crate) fn attributes(&self) -> Vec<VertexAttribute<'_>> {
-        let numbers = |name, role, arity, values| VertexAttribute {
-            name,
-            role,
-            arity,
-            values: VertexValues::Numbers(values),
-            seams: None,
-        };
         vec![
-            numbers("heat \u{1}2", None, 1, &*self.heat),
-            numbers("v", Some(AttributeRole::Velocity), 3, &*self.velocity),
-            numbers("Cd", Some(AttributeRole::Color), 4, &*self.color),
+            of_numbers("heat \u{1}2", None, 1, &self.heat),
+            of_numbers("v", Some(AttributeRole::Velocity), 3, &self.velocity),
+            of_numbers("Cd", Some(AttributeRole::Color), 4, &self.color),
             VertexAttribute {
                 name: "id",
                 role: Some(AttributeRole::Id),

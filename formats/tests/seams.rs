@@ -5,8 +5,10 @@ use std::io::Cursor;
 use meniscus_formats::gltf::{GlbFrame, SequenceFrame};
 use meniscus_formats::{
     AttributeRole, Content, FileAttribute, Limits, MeshOptions, MeshView, OutputFormat, SeamsView, Values,
-    VertexAttribute, VertexValues, abc, gltf, is_complete, ply, usda, usdc,
+    VertexAttribute, abc, gltf, is_complete, ply, usda, usdc,
 };
+
+use crate::mesh_formats::of_numbers;
 
 // A strip of two triangles and a third. The third is on another chart: two of its corners, at the vertices 1 and 2, have
 // other coordinates than their vertices.
@@ -25,25 +27,12 @@ const HEAT: [f32; 5] = [0.5, 1.5, 2.5, 3.5, 4.5];
 
 /// Passes on the mesh, with these seams.
 fn with_mesh<T>(seams: Option<SeamsView>, run: impl FnOnce(&MeshView) -> T) -> T {
-    let values = VertexValues::Numbers(ROWS[..5].as_flattened());
-    let uv = VertexAttribute {
-        name: "uv",
-        role: Some(AttributeRole::TextureCoordinates),
-        arity: 2,
-        values,
-        seams,
-    };
-    let numbers = |name, role, arity, values| VertexAttribute {
-        name,
-        role,
-        arity,
-        values: VertexValues::Numbers(values),
-        seams: None,
-    };
+    let role = Some(AttributeRole::TextureCoordinates);
+    let uv = VertexAttribute { seams, ..of_numbers("uv", role, 2, ROWS[..5].as_flattened()) };
     let color = [0.5; 20];
-    let color = numbers("Cd", Some(AttributeRole::Color), 4, &color[..]);
+    let color = of_numbers("Cd", Some(AttributeRole::Color), 4, &color[..]);
     // A name that texture coordinates have in USD.
-    let attributes = [color, numbers("st", None, 1, &HEAT), uv, numbers("heat", None, 1, &HEAT)];
+    let attributes = [color, of_numbers("st", None, 1, &HEAT), uv, of_numbers("heat", None, 1, &HEAT)];
     let (origin, normals) = ([0.0; 3], [[0.0, 0.0, 1.0]; 5]);
     run(&MeshView {
         positions: &POSITIONS,

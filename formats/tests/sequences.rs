@@ -11,6 +11,8 @@ use meniscus_formats::{
     SequencePoints, Values, VertexAttribute, VertexValues, abc, container, read_particles, usda, usdc,
 };
 
+use crate::mesh_formats::of_numbers;
+
 /// A pyramid over a polygon, and the options for writing it.
 struct Frame {
     code: i64,
@@ -51,15 +53,10 @@ impl Frame {
         let (positions, normals, triangles) = self.mesh();
         let velocity: Vec<f32> = positions.iter().flat_map(|p| [p[0], 2.0, 0.0]).collect();
         let heat: Vec<f32> = positions.iter().map(|p| p[2]).collect();
-        let numbers = |name, role, arity, values| VertexAttribute {
-            name,
-            role,
-            arity,
-            values: VertexValues::Numbers(values),
-            seams: None,
-        };
-        let attributes =
-            [numbers("v", Some(AttributeRole::Velocity), 3, &*velocity), numbers("Heat", None, 1, &*heat)];
+        let attributes = [
+            of_numbers("v", Some(AttributeRole::Velocity), 3, &velocity),
+            of_numbers("Heat", None, 1, &heat),
+        ];
         // One frame has fewer attributes.
         let attributes = &attributes[..if self.code == 6 { 1 } else { 2 }];
         let mesh = MeshView {
@@ -748,13 +745,7 @@ fn usda_of(bytes: &[u8]) -> Result<(String, Vec<String>), Error> {
 fn usda_properties_have_unique_names() {
     let values = [1.0, 2.0, 3.0];
     let names = ["_heat", "heat", "__heat", "2nd", "_2nd", "normals", "displayColor", "x"];
-    let attributes = names.map(|name| VertexAttribute {
-        name,
-        role: None,
-        arity: 1,
-        values: VertexValues::Numbers(&values),
-        seams: None,
-    });
+    let attributes = names.map(|name| of_numbers(name, None, 1, &values));
     let (text, notes) = usda_of(&triangle(&attributes)).expect("a sequence");
     let properties: Vec<&str> =
         text.lines().filter_map(|line| line.trim().strip_suffix(".timeSamples = {")).collect();
@@ -777,13 +768,7 @@ fn usda_properties_have_unique_names() {
 #[test]
 fn sequences_name_attributes_as_single_frames_do() {
     let values = [0.25; 9];
-    let attribute = |name, role, arity| VertexAttribute {
-        name,
-        role,
-        arity,
-        values: VertexValues::Numbers(&values[..3 * arity]),
-        seams: None,
-    };
+    let attribute = |name, role, arity| of_numbers(name, role, arity, &values[..3 * arity]);
     let attributes = [
         attribute("color", Some(AttributeRole::Color), 3),
         attribute("Temperature", None, 1),
@@ -826,13 +811,7 @@ fn sequences_name_attributes_as_single_frames_do() {
 #[test]
 fn accelerations_are_a_property_of_usd_meshes_and_an_attribute_elsewhere() {
     let values = [0.0, -9.81, 0.0, 1.0, 2.0, 3.0, -1.0, 0.5, 0.25];
-    let vectors = |name, role| VertexAttribute {
-        name,
-        role: Some(role),
-        arity: 3,
-        values: VertexValues::Numbers(&values),
-        seams: None,
-    };
+    let vectors = |name, role| of_numbers(name, Some(role), 3, &values);
     let attributes = [vectors("v", AttributeRole::Velocity), vectors("accel", AttributeRole::Acceleration)];
     let mesh = MeshView {
         positions: &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],

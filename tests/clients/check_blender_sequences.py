@@ -562,7 +562,7 @@ def spray():
         points = objects["POINTCLOUD"]
         for obj in objects.values():
             modifier = sequence.modifier_of(obj)
-            prim = {"MESH": "/root/dam/surface", "POINTCLOUD": "/root/dam_spray/spray"}[obj.type]
+            prim = f"/{sequence.ROOT}/" + {"MESH": "dam/surface", "POINTCLOUD": "dam_spray/spray"}[obj.type]
             if not modifier or modifier.object_path != prim:
                 faults.append(f"{name}: {obj.name} does not read {prim}")
         for obj in objects.values():
