@@ -202,7 +202,7 @@ pub(crate) fn data(surface: &FrameSurface) -> MeshData {
     let mesh = &surface.mesh;
     MeshData {
         positions: mesh.positions.iter().map(|at| (mesh.origin + at.as_dvec3()).to_array()).collect(),
-        normals: Vec::new(),
+        normals: mesh.normals.iter().map(|normal| normal.to_array()).collect(),
         triangles: mesh.triangles.clone(),
     }
 }

@@ -10,7 +10,7 @@ use meniscus::surface::level_set::NarrowBand;
 use meniscus::surface::mesh::PositionRounding;
 use meniscus::surface::obstacle::{MeshSdf, Obstacles};
 use meniscus::surface::options::{MethodOptions, SequenceSpacing, Settings};
-use meniscus::surface::particles::ParticleCloud;
+use meniscus::surface::particles::{Attribute, AttributeValues, ParticleCloud, Role};
 use meniscus::surface::reconstruction::{
     FrameSurface, ShapedSource, StagedFrame, reconstruct_cloud, shape_particles,
 };
@@ -104,8 +104,17 @@ impl Maker {
 }
 
 fn cloud(frame: &Frame) -> ParticleCloud {
-    ParticleCloud::from(frame.moving_particles().positions)
+    let radii = frame.radii.iter().map(|radii| Attribute {
+        name: RADII.into(),
+        role: Role::Radius,
+        arity: 1,
+        values: AttributeValues::Numbers(radii.clone()),
+    });
+    ParticleCloud { attributes: radii.collect(), ..ParticleCloud::from(frame.moving_particles().positions) }
 }
+
+/// The attribute with the radii of particles that have their own.
+const RADII: &str = "pscale";
 
 /// Frames of a set that the frames beside them need, too. `T` is what the surface of a frame is made from.
 pub(super) struct KeptFrames<T>(Vec<KeptFrame<T>>);
@@ -227,10 +236,15 @@ fn settings_of(pairs: &[(String, String)], set: &Set) -> Outcome<Settings> {
         }
     }
     let choices = MethodOptions::from_pairs(texts.iter().map(|(name, value)| (*name, value.as_str())));
-    let choices = choices.ok_or("a setting has an unknown name or an invalid value")?;
+    let mut choices = choices.ok_or("a setting has an unknown name or an invalid value")?;
+    let radii = set.frames.first().and_then(|frame| frame.radii.as_ref());
+    if radii.is_some() && choices.radius_attribute.is_none() {
+        choices.radius_attribute = Some(RADII.into());
+    }
     let estimate = if choices.is_auto() { estimate_of(set) } else { None };
     let irregularity = estimate.and_then(|estimate| estimate.irregularity);
-    let measured = SequenceSpacing { irregularity, ..SequenceSpacing::from(set.spacing) };
+    let radius_median = radii.map(|_| 0.5 * set.spacing * choices.radius_scale.unwrap_or(1.0));
+    let measured = SequenceSpacing { spacing: set.spacing, radius_median, irregularity };
     Ok(Settings::resolve(&choices, Some(measured))?)
 }
 

@@ -19,6 +19,7 @@
 //! All lengths in scores are in particle spacings d, so that scores on different grids are comparable.
 
 mod heights;
+mod looks;
 mod maker;
 mod scores;
 mod sets;

@@ -1,6 +1,7 @@
 //! Scores of the surfaces of a set of particles. All lengths are in particle spacings.
 
 use std::collections::BTreeMap;
+use std::f64::consts::PI;
 
 use glam::DVec3;
 use meniscus::surface::flicker::{
@@ -13,8 +14,9 @@ use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
 use super::heights::Rays;
+use super::looks::{Facets, companies, percentile_95, waist};
 use super::maker::{MadeSurface, Maker};
-use super::sets::{FRAMES, Frame, Kind, Set, pair_distances};
+use super::sets::{FRAMES, Frame, Kind, REST_DENSITY, Set, lone_radii, pair_distances};
 use super::{map, round};
 use crate::Outcome;
 use crate::flicker::Flicker;
@@ -29,12 +31,13 @@ pub(super) fn score(maker: &Maker, repeats: usize, set: &Set) -> Outcome<Map<Str
         Kind::Flow(flow) => in_flow(maker, set, *flow, &mut measures)?,
         Kind::Moving { seconds } => moving(maker, set, *seconds, &mut measures)?,
         Kind::Pool { rays } => pool(maker, set, rays, &mut measures)?,
-        Kind::Clusters | Kind::Pairs | Kind::Drops => still(maker, 1, set, &mut measures)?,
+        Kind::Clusters | Kind::Pairs | Kind::Drops | Kind::Sizes => still(maker, 1, set, &mut measures)?,
     };
     of_kind.append(&mut match &set.kind {
         Kind::Clusters => cluster_volumes(set, &measures.volumes),
         Kind::Pairs => of_pairs(&measures),
-        Kind::Drops => of_drops(&measures),
+        Kind::Drops => of_drops(&mut measures),
+        Kind::Sizes => of_sizes(&measures),
         _ => Map::new(),
     });
     of_kind.append(&mut measures.scores());
@@ -85,13 +88,18 @@ fn in_flow(maker: &Maker, set: &Set, flow: Flow, measures: &mut Measures) -> Out
 /// The flicker of a simulation, from the motion of its particles: see docs/flicker.md. `first` and `lag2` are
 /// the root mean squares of the distances of points that particles carry to the next frame, and to the one
 /// after it, from the surface there. Errors are standard errors over the frames. `ghosts` are counted in all frames;
-/// the volume step is the largest change of the volume from frame to frame, relative to it.
+/// the volume step is the largest change of the volume from frame to frame, relative to it. The `waist` is the mean
+/// over the frames, and so is `volume_of_fluid`, the volume relative to that of the fluid.
 fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Outcome<Map<String, Value>> {
     let (mut frames, mut unaveraged) = (Vec::new(), Vec::new());
+    let (mut waists, mut of_fluid) = (Vec::new(), Vec::new());
     for frame in &set.frames {
         let made = maker.make(set, frame)?;
         measures.add_costs(&made);
         measures.add_shape(&made, frame, set.spacing);
+        waists.extend(waist(&frame.points, set.spacing, &made.solid));
+        let volume_of_last = measures.volumes[measures.volumes.len() - 1];
+        of_fluid.extend(volume_per_particle(frame, set.spacing).map(|fluid| volume_of_last / fluid));
         unaveraged.push(made.unaveraged.map(|mesh| MeshDistance::new(&mesh.positions, &mesh.triangles)));
         let surface = MeshDistance::new(&made.mesh.positions, &made.mesh.triangles);
         frames.push(FlickerFrame::new(frame.moving_particles(), surface, set.spacing));
@@ -126,11 +134,25 @@ fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Ou
         "ghosts": enclosed.iter().map(|enclosed| enclosed.ghost_count).sum::<usize>(),
         "volume_step": round(enclosed.windows(2).map(step).fold(0.0, f64::max)),
         "lag": (!lags.is_empty()).then(|| round(mean(&lags))),
+        "waist": (!waists.is_empty()).then(|| round(mean(&waists))),
+        "volume_of_fluid": (!of_fluid.is_empty()).then(|| round(mean(&of_fluid))),
         "flicker": flicker[0], "flicker_error": flicker[1], "median": round(score.median),
         "most": round(score.percentile_99), "max": round(score.max),
         "first": first[0], "first_error": first[1], "lag2": lag2[0], "lag2_error": lag2[1],
         "volume_jitter": round(volume_jitter(&measures.volumes)),
     })))
+}
+
+/// The volume of fluid for each particle, in d³: the mean over the particles in full company of the density at rest
+/// over the density there. A stream that falls faster and faster has its particles farther apart than they are at
+/// rest. Particles at its surface are as far apart, but their densities count the air around them. `None` without
+/// densities.
+fn volume_per_particle(frame: &Frame, spacing: f64) -> Option<f64> {
+    let companies = companies(&frame.points, spacing);
+    let of_particles = frame.densities.as_ref()?.iter().zip(companies);
+    let inside = of_particles.filter(|(_, company)| *company == 1.0);
+    let volumes: Vec<f64> = inside.map(|(density, _)| REST_DENSITY / f64::from(*density)).collect();
+    (!volumes.is_empty()).then(|| mean(&volumes))
 }
 
 /// The root mean square of the values of several frames, and its standard error, if the frames' mean squares
@@ -160,7 +182,7 @@ fn cluster_volumes(set: &Set, volumes: &[f64]) -> Map<String, Value> {
 }
 
 /// The largest distance at which two particles have one surface, and the largest change of its volume in a
-/// step, in d³: the largest of all pairs.
+/// step, in d³: the largest of all pairs. And the mean volume of pairs that are d apart, relative to 2 d³.
 fn of_pairs(measures: &Measures) -> Map<String, Value> {
     let distances: Vec<f64> = pair_distances().collect();
     let (mut merged, mut step) = (0.0f64, 0.0f64);
@@ -172,18 +194,37 @@ fn of_pairs(measures: &Measures) -> Map<String, Value> {
         // Volumes are relative to two particles.
         step = volumes.windows(2).fold(step, |step, two| step.max(2.0 * (two[1] - two[0]).abs()));
     }
-    map(json!({ "merge_distance": round(merged), "volume_step": round(step) }))
+    let apart_by_d = distances.iter().map(|apart| (apart - 1.0).abs() < 1e-9).cycle();
+    let volumes = measures.volumes.iter().zip(apart_by_d).filter(|(_, is_apart_by_d)| *is_apart_by_d);
+    let volumes: Vec<f64> = volumes.map(|(volume, _)| *volume).collect();
+    map(json!({
+        "merge_distance": round(merged), "volume_step": round(step), "volume_of_pair": round(mean(&volumes)),
+    }))
 }
 
 /// The difference of the largest and the smallest distance of a vertex from the particle, relative to the
-/// mean distance: the median of all drops. And the scatter of their volumes.
-fn of_drops(measures: &Measures) -> Map<String, Value> {
+/// mean distance: the median of all drops. And the scatter of their volumes, and what 95 % of the angles of their faces
+/// and of their vertex normals do not exceed, in degrees.
+fn of_drops(measures: &mut Measures) -> Map<String, Value> {
     let roundness = Distribution::of(measures.roundness.iter().copied()).median;
     let scatter = deviation(&measures.volumes) / mean(&measures.volumes);
-    map(json!({ "roundness": round(roundness), "volume_scatter": round(scatter) }))
+    let Facets { of_faces, of_vertices } = std::mem::take(&mut measures.facets);
+    let [faces, vertices] = [of_faces, of_vertices].map(|angles| percentile_95(angles).map(round));
+    map(json!({
+        "roundness": round(roundness), "volume_scatter": round(scatter), "facets": faces, "facets_of_vertices": vertices,
+    }))
 }
 
-fn mean(values: &[f64]) -> f64 {
+/// The mean volumes of lone particles of each size, relative to the balls of their own radii, the smallest first.
+fn of_sizes(measures: &Measures) -> Map<String, Value> {
+    let of_size = |size: usize| {
+        let volumes: Vec<f64> = measures.lone_volumes.iter().map(|of_frame| of_frame[size]).collect();
+        round(mean(&volumes))
+    };
+    map(json!({ "sizes": (0..lone_radii().count()).map(of_size).collect::<Vec<f64>>() }))
+}
+
+pub(super) fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
@@ -241,6 +282,9 @@ struct Measures {
     curvatures: Vec<f64>,
     /// Of lone particles: see [`of_drops`].
     roundness: Vec<f64>,
+    facets: Facets,
+    /// In each frame of lone particles with radii of their own, the volume of each, relative to the ball of its radius.
+    lone_volumes: Vec<Vec<f64>>,
     component_counts: Vec<f64>,
     handle_counts: Vec<f64>,
     triangle_counts: Vec<f64>,
@@ -270,6 +314,10 @@ impl Measures {
                 made.mesh.positions.iter().map(|at| DVec3::from(*at).distance(center)).collect();
             let [least, greatest] = limits(&distances);
             self.roundness.push((greatest - least) / mean(&distances));
+            self.facets.add(&made.mesh, center);
+        }
+        if let Some(radii) = &frame.radii {
+            self.lone_volumes.push(lone_volumes(&made.mesh, &frame.points, radii));
         }
         self.component_counts.push(whole.component_count as f64);
         // The total genus of all pieces.
@@ -295,6 +343,21 @@ impl Measures {
             "uncertified": self.uncertified,
         }))
     }
+}
+
+/// The volume around each lone particle, relative to the ball of its radius.
+fn lone_volumes(mesh: &MeshData, points: &[DVec3], radii: &[f32]) -> Vec<f64> {
+    let mut volumes = vec![0.0; points.len()];
+    for triangle in &mesh.triangles {
+        let corners = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
+        let distances = points.iter().map(|point| point.distance_squared(corners[0])).enumerate();
+        if let Some((nearest, _)) = distances.min_by(|one, other| one.1.total_cmp(&other.1)) {
+            let [a, b, c] = corners.map(|corner| corner - points[nearest]);
+            volumes[nearest] += a.dot(b.cross(c)) / 6.0;
+        }
+    }
+    let balls = radii.iter().map(|radius| 4.0 / 3.0 * PI * f64::from(*radius).powi(3));
+    volumes.iter().zip(balls).map(|(volume, ball)| volume / ball).collect()
 }
 
 /// The smallest and the largest of some numbers.

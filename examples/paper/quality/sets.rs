@@ -32,7 +32,14 @@ pub(super) struct Frame {
     pub(super) number: usize,
     pub(super) points: Vec<DVec3>,
     pub(super) motion: Motion,
+    /// The radius of each particle, world units, if they have radii of their own.
+    pub(super) radii: Option<Vec<f32>>,
+    /// The density of each particle, if a simulator wrote it: [`REST_DENSITY`] at rest.
+    pub(super) densities: Option<Vec<f32>>,
 }
+
+/// The density of the fluid at rest in simulations whose particles have densities.
+pub(super) const REST_DENSITY: f64 = 1000.0;
 
 impl Frame {
     pub(super) fn moving_particles(&self) -> MovingParticles {
@@ -66,6 +73,8 @@ pub(super) enum Kind {
     Pairs,
     /// A lone particle at several positions.
     Drops,
+    /// Lone particles with radii of their own, of several sizes in each frame.
+    Sizes,
 }
 
 impl Set {
@@ -75,7 +84,14 @@ impl Set {
     }
 
     fn new(name: &str, spacing: f64, frames: Vec<Vec<DVec3>>, kind: Kind) -> Set {
-        let frame = |(number, points)| Frame { number, points, motion: Motion::default() };
+        let radii = matches!(kind, Kind::Sizes).then(|| lone_radii().map(|radius| radius as f32).collect());
+        let frame = |(number, points)| Frame {
+            number,
+            points,
+            motion: Motion::default(),
+            radii: radii.clone(),
+            densities: None,
+        };
         let frames = frames.into_iter().enumerate().map(frame).collect();
         Set { name: name.into(), spacing, frames, around: Vec::new(), kind }
     }
@@ -106,7 +122,7 @@ const FLOWS: [(&str, Flow, usize, f64); 8] = [
 const JITTER: f64 = 0.25;
 
 /// The other generated sets, by name.
-const GENERATED: [(&str, Generate); 9] = [
+const GENERATED: [(&str, Generate); 10] = [
     ("jittered pool", jittered_pool),
     ("random ball", random_ball),
     ("sheet", sheet),
@@ -116,6 +132,7 @@ const GENERATED: [(&str, Generate); 9] = [
     ("clusters", clusters),
     ("pair", pair),
     ("drop", drop),
+    ("sizes", sizes),
 ];
 
 /// Generates frames; also returns the spacing.
@@ -276,7 +293,7 @@ fn in_flow(name: &str, flow: Flow, count: usize, jitter: f64, every: usize, reac
     let ids: Vec<i64> = (0..).take(points.len()).collect();
     for number in 0..=FRAMES {
         let motion = Motion { ids: Some(ids.clone()), velocities: None };
-        let frame = || Frame { number, points: points.clone(), motion };
+        let frame = || Frame { number, points: points.clone(), motion, radii: None, densities: None };
         if (number + 1) % every <= 2 {
             frames.push(frame());
         } else if (number + 1 + reach) % every <= 2 + 2 * reach {
@@ -416,6 +433,19 @@ fn drop() -> (Vec<Vec<DVec3>>, f64, Kind) {
     ((0..64).map(|_| vec![random_offset(&mut random)]).collect(), 1.0, Kind::Drops)
 }
 
+/// The radii of lone particles: six from 0.25 to 1, around 0.5.
+pub(super) fn lone_radii() -> impl Iterator<Item = f64> {
+    (0..6).map(|size| 0.25 * 4f64.powf(f64::from(size) / 5.0))
+}
+
+/// A row of particles that are too far apart to join, at several positions.
+fn sizes() -> (Vec<Vec<DVec3>>, f64, Kind) {
+    let mut random = Random::new(9);
+    let row =
+        |_| (0..6).map(|x| DVec3::new(12.0 * f64::from(x), 0.0, 0.0) + random_offset(&mut random)).collect();
+    ((0..PLACES).map(row).collect(), 1.0, Kind::Sizes)
+}
+
 /// A rotation with a random axis, by a random angle.
 fn random_turn(random: &mut Random) -> DQuat {
     DQuat::from_axis_angle(random.in_ball(1.0).normalize(), TAU * random.unit())
@@ -455,7 +485,12 @@ fn frame_in(path: &Path, number: usize) -> Outcome<Frame> {
         (of_role(AttributeRole::Id).and_then(integers), of_role(AttributeRole::Velocity).and_then(vectors));
     let positions = particles(read.positions);
     let points = (0..positions.len()).map(|index| positions.position(index)).collect();
-    Ok(Frame { number, points, motion: Motion { ids, velocities } })
+    let densities = read.attributes.iter().find(|attribute| attribute.name == "density");
+    let densities = densities.and_then(|attribute| match &attribute.values {
+        Values::F32(numbers) => Some(numbers.clone()),
+        _ => None,
+    });
+    Ok(Frame { number, points, motion: Motion { ids, velocities }, radii: None, densities })
 }
 
 /// The values of an integer attribute, as simulators write ids.
