@@ -1,4 +1,4 @@
-//! Scores that agree with eyes: the waists of pairs and the facets of drops.
+//! Scores that agree with eyes: the waists of pairs, the facets of drops, and the dashes along ridges.
 
 use std::collections::HashMap;
 
@@ -107,6 +107,97 @@ pub(super) fn percentile_95(mut values: Vec<f64>) -> Option<f64> {
     values.get((0.95 * values.len() as f64).ceil() as usize - usize::from(!values.is_empty())).copied()
 }
 
+/// How far edges and vertices count for the curvature at a point, in spacings, with weights (1 − r²/R²)²: so meshes of
+/// different resolutions compare.
+const SMOOTHED: f64 = 0.4;
+
+/// The distance along a ridge over which its curvature is compared, in spacings: half of a period of beads.
+const STEP: f64 = 0.5;
+
+/// Dashes: how much the curvature of ridges varies along them, which breaks their highlights into dashes.
+///
+/// The curvature at a vertex is the sum over the edges around it of angle times length times the square e eᵀ of the
+/// direction, over the area there, in the tangent plane: its larger eigenvalue is the curvature across a ridge, in the
+/// direction along the ridge (Cohen-Steiner and Morvan, Restricted Delaunay triangulations and normal cycle, 2003).
+/// Ridges are the vertices where it is above 0.5/d and more than twice the smaller one. The sum of both is averaged around
+/// the vertex, and around the two points 0.5 d from it along the ridge. The score is the root mean square of the
+/// differences between those points and the vertex over the mean of the larger curvature at the vertices, both weighted
+/// by area. A tube or a rim of steady curvature has about 0, a row of beads much: across, necks and beads curve alike, but
+/// along the row, beads are convex and necks concave, and the sum tells them apart. `None` without ridges.
+pub(super) fn dashes(mesh: &MeshData, spacing: f64) -> Option<f64> {
+    let points: Vec<DVec3> = mesh.positions.iter().map(|at| DVec3::from(*at) / spacing).collect();
+    let mut normals = vec![DVec3::ZERO; points.len()];
+    // The normal of the face on the left of each directed edge.
+    let mut left: HashMap<[u32; 2], DVec3> = HashMap::new();
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|vertex| points[vertex as usize]);
+        let normal = (b - a).cross(c - a);
+        triangle.iter().for_each(|vertex| normals[*vertex as usize] += normal);
+        left.extend(
+            (0..3).map(|side| ([triangle[side], triangle[(side + 1) % 3]], normal.normalize_or_zero())),
+        );
+    }
+    let areas: Vec<f64> = normals.iter().map(|normal| normal.length() / 6.0).collect();
+    normals.iter_mut().for_each(|normal| *normal = normal.normalize_or_zero());
+    let (mut middles, mut edges) = (Vec::new(), Vec::new());
+    for triangle in &mesh.triangles {
+        for [from, to] in [[0, 1], [1, 2], [2, 0]].map(|side| side.map(|corner: usize| triangle[corner])) {
+            let normal_of = |edge: [u32; 2]| left.get(&edge).copied().unwrap_or_default();
+            let (one, other) = (normal_of([from, to]), normal_of([to, from]));
+            if from < to && other != DVec3::ZERO {
+                let [from, to] = [from, to].map(|vertex| points[vertex as usize]);
+                let edge = to - from;
+                // Positive where the surface is convex.
+                let angle = one.cross(other).dot(edge.normalize_or_zero()).atan2(one.dot(other));
+                middles.push(from.midpoint(to));
+                edges.push((one + other, edge, angle / edge.length().max(f64::MIN_POSITIVE)));
+            }
+        }
+    }
+    let (of_edges, of_points) = (Cells::new(&middles, SMOOTHED), Cells::new(&points, SMOOTHED));
+    let weight = |r: f64| (1.0 - (r / SMOOTHED).powi(2)).powi(2);
+    // The vertices on the same side of the fluid, with their weights.
+    let near = |at: DVec3, normal: DVec3| -> Vec<(usize, f64)> {
+        let facing = of_points.near(at).filter(|(other, _)| normals[*other].dot(normal) > 0.0);
+        facing.map(|(other, r)| (other, areas[other] * weight(r))).collect()
+    };
+    // The larger and the smaller curvature, and the direction along the ridge.
+    let bend = |(&at, &normal): (&DVec3, &DVec3)| {
+        let (across, up) = normal.any_orthonormal_pair();
+        let [mut xx, mut xy, mut yy] = [0.0; 3];
+        for (edge, r) in of_edges.near(at) {
+            let (facing, edge, angle) = edges[edge];
+            if facing.dot(normal) > 0.0 {
+                let (x, y) = (edge.dot(across), edge.dot(up));
+                [xx, xy, yy] =
+                    [[xx, x * x], [xy, x * y], [yy, y * y]].map(|[sum, of]| sum + weight(r) * angle * of);
+            }
+        }
+        let area: f64 = near(at, normal).iter().map(|(_, weight)| weight).sum();
+        let (middle, half) = (0.5 * (xx + yy), (0.5 * (xx - yy)).hypot(xy));
+        let (sin, cos) = (0.5 * (2.0 * xy).atan2(xx - yy)).sin_cos();
+        ((middle + half) / area, (middle - half) / area, cos * across + sin * up)
+    };
+    let bends: Vec<(f64, f64, DVec3)> = points.par_iter().zip(&normals).map(bend).collect();
+    let averaged = |at: DVec3, normal: DVec3| {
+        let around = near(at, normal);
+        let total: f64 = around.iter().map(|(_, weight)| weight).sum();
+        let sum: f64 =
+            around.iter().map(|(other, weight)| weight * (bends[*other].0 + bends[*other].1)).sum();
+        (total > 0.0).then(|| sum / total)
+    };
+    let of_vertex = |vertex: usize| {
+        let (at, normal, (larger, smaller, along)) = (points[vertex], normals[vertex], bends[vertex]);
+        let here = averaged(at, normal).filter(|_| larger > 0.5_f64.max(2.0 * smaller))?;
+        let sides = [-STEP, STEP].map(|step| averaged(at + step * along, normal));
+        let squares: Vec<f64> = sides.into_iter().flatten().map(|there| (there - here).powi(2)).collect();
+        (!squares.is_empty()).then(|| [1.0, larger, mean(&squares)].map(|of| areas[vertex] * of))
+    };
+    let ridges: Vec<[f64; 3]> = (0..points.len()).into_par_iter().filter_map(of_vertex).collect();
+    let [area, curvature, squares] = [0, 1, 2].map(|part| ridges.iter().map(|of| of[part]).sum::<f64>());
+    (!ridges.is_empty()).then(|| (squares / area).sqrt() / (curvature / area))
+}
+
 #[cfg(test)]
 mod tests {
     use std::f64::consts::TAU;
@@ -151,6 +242,22 @@ mod tests {
         assert_eq!(waist_of(&far, |_| 0.5), None);
         let outside: Vec<DVec3> = row.iter().map(|at| *at + DVec3::X).collect();
         assert_eq!(waist_of(&outside, |_| 0.5), Some(0.0));
+    }
+
+    /// A tube has no dashes, in whatever mesh; a row of beads has many, about as many in all meshes. Waves along a tube that
+    /// are longer than particles are apart have less.
+    #[test]
+    fn dashes_of_tubes() {
+        for edge in [0.1, 0.2, 0.3] {
+            let score = |radius: &dyn Fn(f64) -> f64| dashes(&tube(12.0, edge, radius), 1.0).unwrap();
+            let plain = score(&|_| 0.5);
+            let beads = score(&|z| 0.4 + 0.1 * (TAU * z).cos());
+            let waves = score(&|z| 0.45 + 0.05 * (0.25 * TAU * z).cos());
+            assert!(plain < 0.02, "{edge}: {plain}");
+            assert!((0.4..0.8).contains(&beads), "{edge}: {beads}");
+            assert!(waves < 0.2 * beads, "{edge}: {waves} {beads}");
+        }
+        assert_eq!(dashes(&tube(12.0, 0.5, |_| 3.0), 1.0), None);
     }
 
     /// A lattice is in full company inside, and its corners, like a row, are in less.

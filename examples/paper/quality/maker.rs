@@ -114,7 +114,7 @@ fn cloud(frame: &Frame) -> ParticleCloud {
 }
 
 /// The attribute with the radii of particles that have their own.
-const RADII: &str = "pscale";
+pub(super) const RADII: &str = "pscale";
 
 /// Frames of a set that the frames beside them need, too. `T` is what the surface of a frame is made from.
 pub(super) struct KeptFrames<T>(Vec<KeptFrame<T>>);

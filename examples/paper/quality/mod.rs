@@ -30,7 +30,7 @@ use std::time::Instant;
 
 use meniscus::surface::particles::OwnedPositions;
 use meniscus::surface::spacing::{SequenceEstimate, SpacingEstimate, combine_estimates, estimate_spacing};
-use meniscus_formats::{FilePositions, ParticleFrame, ply};
+use meniscus_formats::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values, ply};
 use serde_json::{Map, Value, json};
 
 use crate::splashsurf::{Post, Splashsurf};
@@ -116,13 +116,23 @@ impl Arguments {
     }
 }
 
-/// Writes each frame in single precision, which other programs read; the header contains the spacing.
+/// Writes each frame in single precision, which other programs read, with the radii of particles that have their own;
+/// the header contains the spacing.
 fn write_particles(folder: &PathBuf, set: &Set) -> Outcome<Map<String, Value>> {
     std::fs::create_dir_all(folder)?;
     for frame in &set.frames {
         let positions = frame.points.iter().map(|point| point.as_vec3().to_array()).collect();
-        let particles =
-            ParticleFrame { positions: FilePositions::F32(positions), ..ParticleFrame::default() };
+        let radii = frame.radii.iter().map(|radii| FileAttribute {
+            name: maker::RADII.into(),
+            arity: 1,
+            role: Some(AttributeRole::Radius),
+            values: Values::F32(radii.clone()),
+        });
+        let particles = ParticleFrame {
+            positions: FilePositions::F32(positions),
+            attributes: radii.collect(),
+            ..ParticleFrame::default()
+        };
         let mut bytes = Vec::new();
         ply::write_particles(&particles, &[("spacing".into(), set.spacing.to_string())], &mut bytes)?;
         std::fs::write(folder.join(set.file_name(frame)), bytes)?;

@@ -14,9 +14,12 @@ use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
 use super::heights::Rays;
-use super::looks::{Facets, companies, percentile_95, waist};
+use super::looks::{Facets, companies, dashes, percentile_95, waist};
 use super::maker::{MadeSurface, Maker};
-use super::sets::{FRAMES, Frame, Kind, REST_DENSITY, Set, lone_radii, pair_distances};
+use super::sets::{
+    FRAMES, Frame, Kind, REST_DENSITY, Set, WELD_FRAMES, WELD_PLACES, WELDS, lone_radii, pair_distances,
+    weld_distance,
+};
 use super::{map, round};
 use crate::Outcome;
 use crate::flicker::Flicker;
@@ -31,12 +34,15 @@ pub(super) fn score(maker: &Maker, repeats: usize, set: &Set) -> Outcome<Map<Str
         Kind::Flow(flow) => in_flow(maker, set, *flow, &mut measures)?,
         Kind::Moving { seconds } => moving(maker, set, *seconds, &mut measures)?,
         Kind::Pool { rays } => pool(maker, set, rays, &mut measures)?,
-        Kind::Clusters | Kind::Pairs | Kind::Drops | Kind::Sizes => still(maker, 1, set, &mut measures)?,
+        Kind::Clusters | Kind::Pairs | Kind::Drops | Kind::Welds | Kind::Sizes => {
+            still(maker, 1, set, &mut measures)?
+        }
     };
     of_kind.append(&mut match &set.kind {
         Kind::Clusters => cluster_volumes(set, &measures.volumes),
         Kind::Pairs => of_pairs(&measures),
         Kind::Drops => of_drops(&mut measures),
+        Kind::Welds => of_welds(&measures),
         Kind::Sizes => of_sizes(&measures),
         _ => Map::new(),
     });
@@ -215,6 +221,27 @@ fn of_drops(measures: &mut Measures) -> Map<String, Value> {
     }))
 }
 
+/// By number of particles in a strip, the largest [`jump`] of the area and of the volume in the frames of its welds.
+fn of_welds(measures: &Measures) -> Map<String, Value> {
+    let jumps = |values: &[f64]| -> Vec<f64> {
+        let of_size = |values: &[f64]| round(values.chunks(WELD_FRAMES).map(jump).fold(0.0, f64::max));
+        values.chunks(WELD_FRAMES * WELD_PLACES).map(of_size).collect()
+    };
+    let [areas, volumes] = [&measures.areas, &measures.volumes].map(|values| jumps(values));
+    let of_size =
+        |size: usize| (WELDS[size].to_string(), json!({ "area": areas[size], "volume": volumes[size] }));
+    let of_sizes: Map<String, Value> = (0..WELDS.len()).map(of_size).collect();
+    map(json!({ "welds": of_sizes }))
+}
+
+/// The largest second difference of the values in the frames of a weld, relative to the value: what changes beyond the
+/// change that steady motion gives. The frames between which the motion turns do not count.
+fn jump(values: &[f64]) -> f64 {
+    let second = |at: &dyn Fn(usize) -> f64, frame: usize| at(frame - 1) - 2.0 * at(frame) + at(frame + 1);
+    let steady = (1..values.len() - 1).filter(|frame| second(&weld_distance, *frame).abs() < 1e-9);
+    steady.map(|frame| second(&|frame| values[frame], frame).abs() / values[frame]).fold(0.0, f64::max)
+}
+
 /// The mean volumes of lone particles of each size, relative to the balls of their own radii, the smallest first.
 fn of_sizes(measures: &Measures) -> Map<String, Value> {
     let of_size = |size: usize| {
@@ -278,6 +305,7 @@ fn pool(maker: &Maker, set: &Set, rays: &Rays, measures: &mut Measures) -> Outco
 struct Measures {
     bending_energies: Vec<f64>,
     outer_bending_energies: Vec<f64>,
+    areas: Vec<f64>,
     volumes: Vec<f64>,
     curvatures: Vec<f64>,
     /// Of lone particles: see [`of_drops`].
@@ -288,6 +316,7 @@ struct Measures {
     component_counts: Vec<f64>,
     handle_counts: Vec<f64>,
     triangle_counts: Vec<f64>,
+    dashes: Vec<f64>,
     outside: f64,
     deepest: f64,
     voxel_passes: Vec<f64>,
@@ -307,6 +336,7 @@ impl Measures {
         let whole = mesh.measure();
         self.bending_energies.push(whole.bending_energy);
         self.outer_bending_energies.push(outer_part(&mesh).measure().bending_energy);
+        self.areas.push(whole.area / spacing.powi(2));
         self.volumes.push(whole.volume / (frame.points.len() as f64 * spacing.powi(3)));
         self.curvatures.push((whole.bending_energy / whole.area).sqrt() * spacing);
         if let [center] = frame.points[..] {
@@ -323,13 +353,15 @@ impl Measures {
         // The total genus of all pieces.
         self.handle_counts.push(whole.component_count as f64 - 0.5 * whole.euler_characteristic as f64);
         self.triangle_counts.push(whole.triangle_count as f64);
+        self.dashes.extend(dashes(&made.mesh, spacing));
         let (outside, deepest) = outside_fraction_and_depth(&made.solid, &frame.points, spacing);
         self.outside = self.outside.max(outside);
         self.deepest = self.deepest.max(deepest);
     }
 
     /// The scores of all surfaces: means, except the smallest and the largest volume, and the largest
-    /// fraction of particles outside. The curvature is the root mean square of the mean curvature.
+    /// fraction of particles outside. The curvature is the root mean square of the mean curvature, and [`dashes`] are the
+    /// variation of curvature along ridges.
     fn scores(self) -> Map<String, Value> {
         let mean = |values: &[f64]| (!values.is_empty()).then(|| round(mean(values)));
         map(json!({
@@ -337,7 +369,7 @@ impl Measures {
             "curvature": mean(&self.curvatures),
             "volume": limits(&self.volumes).map(round), "volume_mean": mean(&self.volumes),
             "components": mean(&self.component_counts), "handles": mean(&self.handle_counts),
-            "triangles": mean(&self.triangle_counts),
+            "triangles": mean(&self.triangle_counts), "dashes": mean(&self.dashes),
             "outside": round(self.outside), "deepest": round(self.deepest),
             "voxel_passes": mean(&self.voxel_passes), "seconds": mean(&self.seconds),
             "uncertified": self.uncertified,
@@ -412,4 +444,35 @@ fn outer_part(mesh: &Mesh) -> Mesh {
             .collect()
     };
     Mesh { triangles, ..mesh.clone() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What changes evenly has no jump, also where the motion turns; a step has its height.
+    #[test]
+    fn jumps() {
+        let even: Vec<f64> = (0..WELD_FRAMES).map(|frame| 10.0 + weld_distance(frame)).collect();
+        assert!(jump(&even) < 1e-9, "{}", jump(&even));
+        let torn: Vec<f64> = (0..WELD_FRAMES).map(|frame| if frame < 40 { 10.0 } else { 11.0 }).collect();
+        assert!((jump(&torn) - 0.1).abs() < 1e-9, "{}", jump(&torn));
+    }
+
+    /// Each piece counts for the particle in it, relative to the ball of its radius.
+    #[test]
+    fn volumes_of_lone_particles() {
+        let positions = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let triangles = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
+        let moved = positions.map(|at| (10.0 * DVec3::X + 2.0 * DVec3::from(at)).to_array());
+        let mesh = MeshData {
+            positions: [positions, moved].concat(),
+            normals: Vec::new(),
+            triangles: [triangles, triangles.map(|triangle| triangle.map(|vertex| vertex + 4))].concat(),
+        };
+        let found =
+            lone_volumes(&mesh, &[DVec3::splat(0.2), DVec3::splat(0.3) + 10.0 * DVec3::X], &[1.0, 2.0]);
+        let expected = 1.0 / (8.0 * PI);
+        assert!(found.iter().all(|volume| (volume - expected).abs() < 1e-9), "{found:?}");
+    }
 }

@@ -73,6 +73,8 @@ pub(super) enum Kind {
     Pairs,
     /// A lone particle at several positions.
     Drops,
+    /// Strips of different numbers of particles, each with a like strip from which it tears again.
+    Welds,
     /// Lone particles with radii of their own, of several sizes in each frame.
     Sizes,
 }
@@ -122,7 +124,7 @@ const FLOWS: [(&str, Flow, usize, f64); 8] = [
 const JITTER: f64 = 0.25;
 
 /// The other generated sets, by name.
-const GENERATED: [(&str, Generate); 10] = [
+const GENERATED: [(&str, Generate); 11] = [
     ("jittered pool", jittered_pool),
     ("random ball", random_ball),
     ("sheet", sheet),
@@ -132,6 +134,7 @@ const GENERATED: [(&str, Generate); 10] = [
     ("clusters", clusters),
     ("pair", pair),
     ("drop", drop),
+    ("welds", welds),
     ("sizes", sizes),
 ];
 
@@ -396,19 +399,63 @@ const PLACES: usize = 8;
 /// Clusters of the points of a face-centred cubic lattice that are nearest to a random point. Neighbours are
 /// 1.12 apart, so that the volume per point is 1.
 fn clusters() -> (Vec<Vec<DVec3>>, f64, Kind) {
+    let mut random = Random::new(5);
+    let cluster = |count: usize| {
+        let (center, turn) = (random_offset(&mut random), random_turn(&mut random));
+        compact(count, center).into_iter().map(|point| turn * point + center).collect()
+    };
+    (CLUSTERS.into_iter().flat_map(|count| [count; PLACES]).map(cluster).collect(), 1.0, Kind::Clusters)
+}
+
+/// The points of that lattice that are nearest to `center`, relative to it.
+fn compact(count: usize, center: DVec3) -> Vec<DVec3> {
     const REACH: i32 = 7;
     let along = || -REACH..=REACH;
     let all = along().flat_map(|x| along().flat_map(move |y| along().map(move |z| IVec3::new(x, y, z))));
     // The integer points with an even sum have a volume of 2 each.
-    let even: Vec<IVec3> = all.filter(|point| point.element_sum() % 2 == 0).collect();
-    let mut random = Random::new(5);
-    let cluster = |count: usize| {
-        let (center, turn) = (random_offset(&mut random), random_turn(&mut random));
-        let mut points: Vec<DVec3> = even.iter().map(|point| point.as_dvec3() - center).collect();
-        points.sort_by(|one, other| one.length_squared().total_cmp(&other.length_squared()));
-        points.iter().take(count).map(|point| turn * (0.5f64.cbrt() * *point) + center).collect()
-    };
-    (CLUSTERS.into_iter().flat_map(|count| [count; PLACES]).map(cluster).collect(), 1.0, Kind::Clusters)
+    let even = all.filter(|point| point.element_sum() % 2 == 0);
+    let mut points: Vec<DVec3> = even.map(|point| point.as_dvec3() - center).collect();
+    points.sort_by(|one, other| one.length_squared().total_cmp(&other.length_squared()));
+    points.iter().take(count).map(|point| 0.5f64.cbrt() * *point).collect()
+}
+
+/// The numbers of particles of strips that weld; the last is a cluster like a ball.
+pub(super) const WELDS: [usize; 4] = [1, 2, 4, 33];
+
+/// How many frames a weld has, and how many welds, of which each occurs at other positions and in other directions, each
+/// number of particles has.
+pub(super) const WELD_FRAMES: usize = 60;
+pub(super) const WELD_PLACES: usize = 4;
+
+/// The distance of two strips in a frame: they approach at a steady speed to 0.9, and leave at the same speed. The
+/// distances while they leave are others than those while they approach.
+pub(super) fn weld_distance(frame: usize) -> f64 {
+    0.9 + 0.07 * (frame as f64 - 29.25).abs()
+}
+
+/// Two strips that face each other, of which the second is the mirror image of the first. Both move through the grid at
+/// a steady speed, too.
+fn welds() -> (Vec<Vec<DVec3>>, f64, Kind) {
+    let mut random = Random::new(10);
+    let mut frames = Vec::new();
+    for count in WELDS {
+        let strip = if count > 4 {
+            compact(count, DVec3::ZERO)
+        } else {
+            (0..count).map(|y| DVec3::new(0.0, y as f64, 0.0)).collect()
+        };
+        let front = strip.iter().map(|point| point.x).fold(f64::NEG_INFINITY, f64::max);
+        for _ in 0..WELD_PLACES {
+            let (turn, middle) = (random_turn(&mut random), random_offset(&mut random));
+            let speed = 0.03 * random_offset(&mut random);
+            frames.extend((0..WELD_FRAMES).map(|frame| {
+                let at = |point: &DVec3| *point - (front + 0.5 * weld_distance(frame)) * DVec3::X;
+                let pair = strip.iter().map(at).flat_map(|at| [at, at * DVec3::new(-1.0, 1.0, 1.0)]);
+                pair.map(|at| turn * at + middle + frame as f64 * speed).collect()
+            }));
+        }
+    }
+    (frames, 1.0, Kind::Welds)
 }
 
 /// The distances of approaching pairs: from 3 to 0.5 in steps of 0.05.
