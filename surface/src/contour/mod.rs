@@ -21,8 +21,11 @@ mod dual_contouring;
 mod marching_tetrahedra;
 mod neighborhood;
 mod quads;
+mod refine;
 
 use glam::{DVec3, IVec3, Vec3};
+
+pub use refine::refine;
 
 use crate::grid::{LEAF_EDGE, Topology};
 use crate::level_set::NarrowBand;

@@ -10,6 +10,7 @@
 
 mod rebuilt;
 mod redistance;
+mod sample;
 
 use std::sync::Arc;
 
@@ -21,6 +22,7 @@ pub use rebuilt::{
     REBUILT_HALF_WIDTH, RebuildReason, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt,
 };
 pub use redistance::{Sweeps, UNREACHED, extend, extend_in, redistance, redistance_in};
+pub use sample::Sampler;
 
 use crate::grid::{
     Field, LEAF_EDGE, LEAF_VOXELS, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology, negative_masks,

@@ -100,6 +100,8 @@ pub struct Settings {
     pub time_step: Option<f64>,
     /// The contouring method.
     pub contouring: Contouring,
+    /// Whether the mesh is refined where the surface is strongly curved.
+    pub refine: bool,
 }
 
 /// Per-particle radii.
@@ -360,6 +362,7 @@ impl Settings {
             temporal: options.temporal.unwrap_or(0),
             time_step: options.time_step,
             contouring: options.contour.unwrap_or_default(),
+            refine: recipe.refine,
         };
         settings.check_together()?;
         Ok(settings)

@@ -82,6 +82,8 @@ pub(super) struct Recipe {
     pub(super) step_size: f64,
     /// Total time of explicit steps, in units⁴.
     pub(super) explicit_time: f64,
+    /// Whether the mesh is refined where the surface is strongly curved.
+    pub(super) refine: bool,
 }
 
 /// The paper's numbers: r_min = √3 h (Eq. 13), five implicit steps of 20 h⁴ or 500 explicit ones of 0.01 h⁴
@@ -103,6 +105,7 @@ const PAPER: Recipe = Recipe {
     steps: 5,
     step_size: 20.0,
     explicit_time: 5.0,
+    refine: false,
 };
 
 /// The preset for fluids. docs/method.md has the measurements behind these values.
@@ -122,6 +125,7 @@ const FLUID: Recipe = Recipe {
     steps: 1,
     step_size: 0.01,
     explicit_time: 0.01,
+    refine: true,
 };
 
 impl Preset {

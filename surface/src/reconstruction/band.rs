@@ -15,7 +15,6 @@ use rayon::prelude::*;
 
 use super::plan::{FIELD_BYTES, mesh_bytes, smoothing_fields};
 use super::{FrameSurface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, lattice, postprocess};
-use crate::contour;
 use crate::grid::{Field, negative_masks};
 use crate::level_set::{
     Bounds, NarrowBand, WIDENED_MAX, offset_surface, widened, widened_leaf_count, widened_leaf_count_max,
@@ -77,7 +76,7 @@ impl BoundedBand {
             offset_surface(&mut band, offset, half_width);
         }
         let lattice = lattice(settings);
-        let mut mesh = contour::contour(&band, &lattice, settings.contouring);
+        let mut mesh = postprocess::contour(&band, &lattice, settings);
         // Rounding to world positions depends on where the mesh is.
         mesh.origin += translation;
         // A level set has no particles to check.

@@ -18,7 +18,7 @@
 use glam::{DVec3, IVec3, Vec3};
 
 use super::RasterParams;
-use crate::contour;
+use crate::contour::{self, Contouring};
 use crate::edits::{self, DroppedIslands};
 use crate::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
 use crate::level_set::{NarrowBand, offset_surface};
@@ -27,6 +27,7 @@ use crate::obstacle::{ObstacleLeaf, cut_off_at_obstacles, edge_clearance, edge_r
 use crate::options::Settings;
 use crate::rasterize::Radii;
 use crate::report::{DepthStats, EditReport, ReconstructionReport};
+use crate::space::Lattice;
 use crate::spray::{Bubble, cube_root, radius_of_volume};
 use crate::validation::{Certificate, Checks, ExclusionMask, certificate};
 
@@ -95,6 +96,15 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
     edits
 }
 
+/// Extracts the mesh of a level set.
+pub(super) fn contour(band: &NarrowBand, lattice: &Lattice, settings: &Settings) -> Mesh {
+    let mut mesh = contour::contour(band, lattice, settings.contouring);
+    if settings.refine && settings.contouring == Contouring::Dual {
+        contour::refine(&mut mesh, band, lattice);
+    }
+    mesh
+}
+
 /// Extracts the mesh of the level set, and moves its vertices out of obstacles and into the clip box.
 pub(super) fn mesh(
     band: &NarrowBand,
@@ -103,7 +113,7 @@ pub(super) fn mesh(
     settings: &Settings,
     depth: &mut DepthStats,
 ) -> Mesh {
-    let mut mesh = contour::contour(band, &scene.lattice, settings.contouring);
+    let mut mesh = contour(band, &scene.lattice, settings);
     if !scene.obstacles.is_empty() {
         *depth = scene.obstacles.move_vertices_out(&mut mesh, &scene.lattice, scene.obstacle_half_width());
     }

@@ -30,7 +30,6 @@
 //! Without other frames, nothing changes.
 
 mod moves;
-mod sample;
 
 use std::sync::Arc;
 
@@ -40,13 +39,12 @@ use rayon::prelude::*;
 use crate::attributes::{BandAttribute, Support, interpolate_to_band};
 use crate::cancel::checkpoint;
 use crate::grid::{LEAF_VOXELS, Leaf, LeafMask, NO_LEAF, negative_masks, voxel_in_leaf};
-use crate::level_set::NarrowBand;
+use crate::level_set::{NarrowBand, Sampler};
 use crate::motion::{MovingParticles, TrackedParticles};
 use crate::parallel::Loops as _;
 use crate::particles::{Attribute, Positions, Shapes};
 use crate::space::Lattice;
 use moves::{COMPONENTS, moves};
-use sample::Sampler;
 
 /// The most frames on each side that may be averaged.
 pub const FRAMES_MAX: u32 = 3;

@@ -6,6 +6,7 @@
 mod bands;
 mod decimate;
 mod quads;
+mod refine;
 mod trim;
 
 use std::f64::consts::PI;
