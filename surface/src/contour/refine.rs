@@ -22,7 +22,7 @@
 //! first, so no two of them look like the halves of a [quad](Mesh::quads); the other half of a quad of which
 //! one half is split is among them.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
@@ -30,31 +30,29 @@ use super::{MeshPlacement, fill_zero_normals, unit_or_zero};
 use crate::level_set::{NarrowBand, Sampler};
 use crate::mesh::{Mesh, are_halves};
 use crate::parallel::Loops as _;
+use crate::simd::{Kernel, Lanes, dispatch};
 use crate::space::Lattice;
 
 /// Number of times that edges are split.
 const ROUNDS: usize = 2;
 
 /// Edges are split where φ = 0 is farther from their middle than this, in voxels.
-const TOLERANCE: f32 = 0.02;
+const TOLERANCE: f32 = 0.038;
 
 /// Edges are split where the radius of curvature is less than this, in voxels.
 const RADIUS: f32 = 3.0;
 
-/// Number of steps toward the zero of φ.
-const STEPS: usize = 2;
-
 /// How far a vertex of the dual mesh is moved at most, in voxels.
-const VERTEX_REACH: f32 = 0.125;
+const END_REACH: f32 = 0.125;
 
 /// How far the middle of an edge is moved at most, in lengths of the edge.
-const MIDDLE_REACH: f32 = 0.25;
+const MIDDLE_REACH: f32 = 0.125;
 
 /// Number of triangles per task.
 const CHUNK: usize = 4096;
 
 /// Number of vertices per task.
-const VERTEX_CHUNK: usize = 256;
+const VERTEX_CHUNK: usize = 1024;
 
 /// The two ends of an edge, in ascending order.
 type Edge = [u32; 2];
@@ -63,8 +61,7 @@ type Edge = [u32; 2];
 pub fn refine(mesh: &mut Mesh, band: &NarrowBand, lattice: &Lattice) {
     let triangles = std::mem::take(&mut mesh.triangles);
     let placement = MeshPlacement::new(&band.topology, lattice);
-    let refined = Refinement { mesh, band, placement, first_new: 0 }.round(triangles, ROUNDS);
-    mesh.triangles = refined;
+    mesh.triangles = Refinement { mesh, band, placement, first_new: 0 }.round(triangles, ROUNDS);
     fill_zero_normals(mesh);
 }
 
@@ -84,10 +81,12 @@ impl Refinement<'_> {
         if edges.is_empty() {
             return triangles;
         }
+        let mut is_end = vec![false; self.mesh.positions.len()];
+        edges.iter().flatten().for_each(|&end| is_end[end as usize] = true);
         if self.first_new == 0 {
-            self.move_ends(&edges);
+            self.move_ends(&is_end);
         }
-        let middles = self.add_middles(&edges);
+        let middles = Middles { of_edge: self.add_middles(&edges), is_end };
         let parts = middles.split(self.mesh, &mut triangles);
         triangles.extend(self.round(parts, rounds - 1));
         triangles
@@ -95,52 +94,68 @@ impl Refinement<'_> {
 
     /// The edges to split. Each is in one triangle from its lower to its higher vertex.
     fn bent_edges(&self, triangles: &[[u32; 3]]) -> Vec<Edge> {
-        let edges = triangles.par_chunks(CHUNK).halved().flat_map_iter(|triangles| {
-            let edges = triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
-            edges.filter(|&edge| edge[0] < edge[1] && self.is_bent(edge))
-        });
-        edges.collect()
+        let of_chunk = |triangles: &[[u32; 3]]| {
+            let mut bent = Vec::new();
+            for &[a, b, c] in triangles {
+                for edge in [[a, b], [b, c], [c, a]] {
+                    if edge[0] < edge[1] && self.is_bent(edge) {
+                        bent.push(edge);
+                    }
+                }
+            }
+            bent
+        };
+        let chunks: Vec<Vec<Edge>> = triangles.par_chunks(CHUNK).halved().map(of_chunk).collect();
+        chunks.concat()
     }
 
+    #[inline(always)]
     fn is_bent(&self, [from, to]: Edge) -> bool {
         let [from, to] = [from as usize, to as usize];
+        if to < self.first_new {
+            return false;
+        }
         let chord = self.mesh.positions[to] - self.mesh.positions[from];
         // The angle between the normals times the length of the chord.
         let turn = chord.dot(self.mesh.normals[to] - self.mesh.normals[from]).abs();
         let voxel_size = self.placement.voxel_size as f32;
-        let is_new = to >= self.first_new;
-        is_new && turn > 8.0 * TOLERANCE * voxel_size && turn * voxel_size * RADIUS > chord.length_squared()
+        turn > 8.0 * TOLERANCE * voxel_size && turn * RADIUS * voxel_size > chord.length_squared()
     }
 
     /// Moves the ends of edges onto the zero of φ.
-    fn move_ends(&mut self, edges: &[Edge]) {
-        let mut ends: Vec<u32> = edges.iter().flatten().copied().collect();
-        ends.par_sort_unstable();
-        ends.dedup();
-        let moved = self.on_zero(&ends, |&end| (self.index(end), VERTEX_REACH));
+    fn move_ends(&mut self, is_end: &[bool]) {
+        let ends: Vec<u32> = (0..).zip(is_end).filter(|(_, is_end)| **is_end).map(|(end, _)| end).collect();
+        let moved = self.on_zero(&ends, |&end| (self.index(end), END_REACH));
         for (end, (position, normal)) in ends.into_iter().zip(moved) {
             self.mesh.positions[end as usize] = position;
             self.mesh.normals[end as usize] = normal;
         }
     }
 
-    /// Adds a vertex near the middle of each of these edges.
-    fn add_middles(&mut self, edges: &[Edge]) -> Middles {
+    /// Adds a vertex near the middle of each of these edges, and returns it for each [`key`].
+    fn add_middles(&mut self, edges: &[Edge]) -> FxHashMap<u64, u32> {
         self.first_new = self.mesh.positions.len();
         assert!(self.first_new + edges.len() <= u32::MAX as usize, "more vertices than 32-bit indices allow");
-        let moved = self.on_zero(edges, |edge| {
-            let [one, other] = edge.map(|end| self.index(end));
-            (0.5 * (one + other), MIDDLE_REACH * one.distance(other) as f32)
-        });
+        let moved = self.on_zero(edges, |&edge| self.curved_middle(edge));
         let (positions, normals): (Vec<Vec3>, Vec<Vec3>) = moved.into_iter().unzip();
         self.mesh.positions.extend(positions);
         self.mesh.normals.extend(normals);
-        let mut is_end = vec![false; self.first_new];
-        edges.iter().flatten().for_each(|&end| is_end[end as usize] = true);
-        Middles { of_edge: edges.iter().copied().zip(self.first_new as u32..).collect(), is_end }
+        edges.iter().map(|&edge| key(edge)).zip(self.first_new as u32..).collect()
+    }
+
+    /// The middle of the cubic curve between the ends of an edge that is perpendicular to their normals, and how far
+    /// it may be moved.
+    #[inline(always)]
+    fn curved_middle(&self, edge: Edge) -> (DVec3, f32) {
+        let [one, other] = edge.map(|end| self.index(end));
+        let [normal, other_normal] = edge.map(|end| self.mesh.normals[end as usize]);
+        let chord = (other - one).as_vec3();
+        let bulge = (other_normal * chord.dot(other_normal) - normal * chord.dot(normal)) / 8.0;
+        (0.5 * (one + other) + bulge.as_dvec3(), MIDDLE_REACH * chord.length())
     }
 
     /// The position of a vertex in voxels.
+    #[inline(always)]
     fn index(&self, vertex: u32) -> DVec3 {
         let position = self.mesh.positions[vertex as usize].as_dvec3();
         position / self.placement.voxel_size + self.placement.origin_index.as_dvec3()
@@ -148,40 +163,65 @@ impl Refinement<'_> {
 
     /// For each item, the position on the zero of φ near a point, and the normal there. `point` returns the point
     /// and how far it may be moved, in voxels.
-    fn on_zero<T: Sync>(&self, items: &[T], point: impl Fn(&T) -> (DVec3, f32) + Sync) -> Vec<(Vec3, Vec3)> {
-        let chunks = items.par_chunks(VERTEX_CHUNK).halved().flat_map_iter(|items| {
-            let mut sampler = Sampler::new(self.band);
-            let point = &point;
-            items.iter().map(move |item| {
-                let (point, reach) = point(item);
-                let voxel = point.floor();
-                let (local, normal) = projected(&mut sampler, voxel, (point - voxel).as_vec3(), reach);
-                (self.placement.position(voxel.as_ivec3(), local), normal)
-            })
-        });
-        chunks.collect()
+    fn on_zero<T: Sync, P>(&self, items: &[T], point: P) -> Vec<(Vec3, Vec3)>
+    where
+        P: Fn(&T) -> (DVec3, f32) + Sync,
+    {
+        let (band, placement) = (self.band, &self.placement);
+        let of_chunk = |items| dispatch(OnZero { band, placement, items, point: &point });
+        let chunks: Vec<Vec<(Vec3, Vec3)>> = items.par_chunks(VERTEX_CHUNK).halved().map(of_chunk).collect();
+        chunks.concat()
+    }
+}
+
+/// The key of an edge.
+fn key([from, to]: Edge) -> u64 {
+    u64::from(from) << 32 | u64::from(to)
+}
+
+/// Kernel: moves points onto the zero of φ.
+struct OnZero<'a, T, P> {
+    band: &'a NarrowBand,
+    placement: &'a MeshPlacement,
+    items: &'a [T],
+    point: &'a P,
+}
+
+impl<T, P: Fn(&T) -> (DVec3, f32)> Kernel for OnZero<'_, T, P> {
+    type Output = Vec<(Vec3, Vec3)>;
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> Vec<(Vec3, Vec3)> {
+        let mut sampler = Sampler::new(self.band);
+        let mut moved = Vec::with_capacity(self.items.len());
+        for item in self.items {
+            let (point, reach) = (self.point)(item);
+            let voxel = point.floor();
+            let start = (point - voxel).as_vec3();
+            let (local, normal) = on_zero(&mut sampler, voxel.as_ivec3(), start, reach);
+            moved.push((self.placement.position(voxel.as_ivec3(), local), normal));
+        }
+        moved
     }
 }
 
 /// The point near `voxel + start` where φ is zero, relative to the voxel, and the direction of ∇φ there. It is
 /// at most `reach` from the start.
-fn projected(sampler: &mut Sampler, voxel: DVec3, start: Vec3, reach: f32) -> (Vec3, Vec3) {
-    let (mut moved, mut normal) = (Vec3::ZERO, Vec3::ZERO);
-    for _ in 0..STEPS {
-        let Some((phi, gradient)) = sampler.sample_with_gradient(voxel.as_ivec3(), start + moved) else {
-            break;
-        };
-        let step = gradient * (-phi / gradient.length_squared().max(0.25));
-        moved = (moved + step).clamp_length_max(reach);
-        normal = unit_or_zero(gradient);
-    }
-    (if moved.is_finite() { start + moved } else { start }, normal)
+#[inline(always)]
+fn on_zero(sampler: &mut Sampler, voxel: IVec3, start: Vec3, reach: f32) -> (Vec3, Vec3) {
+    let Some((phi, gradient)) = sampler.sample_with_gradient(voxel, start) else {
+        return (start, Vec3::ZERO);
+    };
+    let step = gradient * (-phi / gradient.length_squared().max(0.25));
+    let moved = start + step.clamp_length_max(reach);
+    (if moved.is_finite() { moved } else { start }, unit_or_zero(gradient))
 }
 
 /// The new vertices.
 struct Middles {
-    of_edge: FxHashMap<Edge, u32>,
-    /// For each vertex, whether it is an end of an edge with a new vertex.
+    /// For the [`key`] of each split edge, its new vertex.
+    of_edge: FxHashMap<u64, u32>,
+    /// For each other vertex, whether it is an end of a split edge.
     is_end: Vec<bool>,
 }
 
@@ -215,7 +255,7 @@ impl Middles {
     fn of(&self, [a, b, c]: [u32; 3]) -> [Option<u32>; 3] {
         [[a, b], [b, c], [c, a]].map(|[from, to]| {
             let may_be_split = self.is_end[from as usize] && self.is_end[to as usize];
-            may_be_split.then(|| self.of_edge.get(&[from.min(to), from.max(to)]).copied()).flatten()
+            may_be_split.then(|| self.of_edge.get(&key([from.min(to), from.max(to)])).copied()).flatten()
         })
     }
 
@@ -234,7 +274,13 @@ impl Middles {
 fn push_parts(mesh: &Mesh, [a, b, c]: [u32; 3], middles: [Option<u32>; 3], parts: &mut Vec<[u32; 3]>) {
     let mut push = |[a, b, c]: [u32; 3]| {
         let is_first = |vertex: u32| vertex == a.min(b).min(c);
-        parts.push(if is_first(a) { [a, b, c] } else if is_first(b) { [b, c, a] } else { [c, a, b] });
+        parts.push(if is_first(a) {
+            [a, b, c]
+        } else if is_first(b) {
+            [b, c, a]
+        } else {
+            [c, a, b]
+        });
     };
     match middles {
         [None, None, None] => push([a, b, c]),

@@ -23,11 +23,13 @@ struct Around {
 
 impl<'a> Sampler<'a> {
     /// A sampler of this level set.
+    #[inline(always)]
     pub fn new(band: &'a NarrowBand) -> Sampler<'a> {
         Sampler { band, last: [Around { origin: None, leaves: [NO_LEAF; 27] }; 8] }
     }
 
     /// The value at `voxel + step`, in voxels; `None` where no values are stored.
+    #[inline(always)]
     pub fn sample(&mut self, voxel: IVec3, step: Vec3) -> Option<f32> {
         // The four voxels along z are summed side by side, and joined at the end.
         let mut sums = [0.0; 4];
@@ -35,26 +37,31 @@ impl<'a> Sampler<'a> {
         Some(dot(sums, weights(fraction.z)))
     }
 
-    /// The value at `voxel + step` and its gradient, in voxels; `None` where no values are stored.
+    /// The value at `voxel + step`, and the gradient there, trilinear between the central differences at the voxels;
+    /// `None` where no values are stored. The gradient of the spline would have ripples: it is steep between two
+    /// voxels, and depends little on those around them.
+    #[inline(always)]
     pub fn sample_with_gradient(&mut self, voxel: IVec3, step: Vec3) -> Option<(f32, Vec3)> {
-        let [mut sums, mut along_x, mut along_y] = [[0.0; 4]; 3];
+        let [mut sums, mut along_x, mut along_y, mut along_z] = [[0.0; 4]; 4];
         let fraction = self.rows(voxel, step, |[x, y], values| {
             add(&mut sums, x[0] * y[0], values);
-            add(&mut along_x, x[1] * y[0], values);
-            add(&mut along_y, x[0] * y[1], values);
+            add(&mut along_x, x[2] * y[1], values);
+            add(&mut along_y, x[1] * y[2], values);
+            add(&mut along_z, x[1] * y[1], values);
         })?;
-        let (z, slopes) = (weights(fraction.z), slopes(fraction.z));
-        Some((dot(sums, z), Vec3::new(dot(along_x, z), dot(along_y, z), dot(sums, slopes))))
+        let [spline, linear, slopes] = all_weights(fraction.z);
+        let gradient = Vec3::new(dot(along_x, linear), dot(along_y, linear), dot(along_z, slopes));
+        Some((dot(sums, spline), gradient))
     }
 
-    /// Visits the 16 rows of four voxels along z around `voxel + step`: the weights and slopes of a row along x and
-    /// y, and its values. Returns where the point is between the voxels; `None` where no values are stored.
+    /// Visits the 16 rows of four voxels along z around `voxel + step`: its [weights](all_weights) along x and y, and
+    /// its values. Returns where the point is between the voxels; `None` where no values are stored.
     #[inline(always)]
     fn rows(
         &mut self,
         voxel: IVec3,
         step: Vec3,
-        mut visit: impl FnMut([[f32; 2]; 2], [f32; 4]),
+        mut visit: impl FnMut([[f32; 3]; 2], [f32; 4]),
     ) -> Option<Vec3> {
         let whole = step.floor();
         let base = voxel.checked_add(whole.as_ivec3())?;
@@ -69,7 +76,10 @@ impl<'a> Sampler<'a> {
         // Beyond the stored leaves, values are those of the band's edge.
         let beyond = band.half_width.copysign(leaves[leaf as usize].values[offset_in_leaf(local)]);
         let fraction = step - whole;
-        let weighted = |t: f32| std::array::from_fn::<_, 4, _>(|tap| [weights(t)[tap], slopes(t)[tap]]);
+        let weighted = |t: f32| {
+            let weights = all_weights(t);
+            std::array::from_fn::<_, 4, _>(|tap| weights.map(|weights| weights[tap]))
+        };
         let [xs, ys, zs] = local.to_array().map(taps);
         let is_in_one_leaf = zs[0].slot == zs[3].slot;
         for (x, wx) in xs.into_iter().zip(weighted(fraction.x)) {
@@ -106,12 +116,14 @@ impl<'a> Sampler<'a> {
     }
 }
 
+#[inline(always)]
 fn add(sums: &mut [f32; 4], weight: f32, values: [f32; 4]) {
     for (sum, value) in sums.iter_mut().zip(values) {
         *sum += weight * value;
     }
 }
 
+#[inline(always)]
 fn dot(sums: [f32; 4], weights: [f32; 4]) -> f32 {
     sums.iter().zip(weights).map(|(sum, weight)| sum * weight).sum()
 }
@@ -124,6 +136,7 @@ struct Tap {
 }
 
 /// The voxels −1 to 2 along an axis, counted from a place in a leaf.
+#[inline(always)]
 fn taps(local: i32) -> [Tap; 4] {
     std::array::from_fn(|tap| {
         let at = (local + LEAF_EDGE - 1) as usize + tap;
@@ -132,6 +145,7 @@ fn taps(local: i32) -> [Tap; 4] {
 }
 
 /// The weights of the four voxels around a fraction from 0 to 1.
+#[inline(always)]
 fn weights(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [
@@ -142,13 +156,10 @@ fn weights(t: f32) -> [f32; 4] {
     ]
 }
 
-/// The derivatives of the weights.
-fn slopes(t: f32) -> [f32; 4] {
-    let t2 = t * t;
-    [
-        0.5 * (-1.0 + 4.0 * t - 3.0 * t2),
-        0.5 * (-10.0 * t + 9.0 * t2),
-        0.5 * (1.0 + 8.0 * t - 9.0 * t2),
-        0.5 * (3.0 * t2 - 2.0 * t),
-    ]
+/// The weights of the spline, those of the line between the two voxels in the middle, and those of the central
+/// differences at these two.
+#[inline(always)]
+fn all_weights(t: f32) -> [[f32; 4]; 3] {
+    let (from, to) = (0.5 * (1.0 - t), 0.5 * t);
+    [weights(t), [0.0, 1.0 - t, t, 0.0], [-from, -to, from, to]]
 }

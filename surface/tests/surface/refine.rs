@@ -42,7 +42,8 @@ fn most(mut values: Vec<f64>) -> f64 {
 
 /// The 95th percentiles of distances of vertices, and of the angles of normals and of faces, in degrees.
 fn errors(mesh: &Mesh, phi: &dyn Fn([f64; 3]) -> f64) -> [f64; 3] {
-    let points: Vec<DVec3> = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3()).collect();
+    let points: Vec<DVec3> =
+        mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3()).collect();
     let distances = points.iter().map(|point| phi(point.to_array()).abs()).collect();
     let normals = points.iter().zip(&mesh.normals);
     let angles = normals.map(|(&point, normal)| outward(phi, point).angle_between(normal.as_dvec3()));
@@ -57,10 +58,10 @@ fn errors(mesh: &Mesh, phi: &dyn Fn([f64; 3]) -> f64) -> [f64; 3] {
 #[test]
 fn strongly_curved_surfaces_are_fine() {
     let shapes: [(&str, Box<dyn Fn([f64; 3]) -> f64>, [f64; 3]); 4] = [
-        ("drop", Box::new(sphere([0.3, 0.2, 0.1], 2.0)), [0.03, 4.0, 8.0]),
+        ("drop", Box::new(sphere([0.3, 0.2, 0.1], 2.0)), [0.03, 4.0, 12.0]),
         ("larger drop", Box::new(sphere([0.3, 0.2, 0.1], 2.8)), [0.01, 2.0, 8.0]),
-        ("torus", Box::new(torus([0.3, 0.2, 0.1], 6.0, 2.0)), [0.03, 4.0, 8.0]),
-        ("thread", Box::new(thread(1.6)), [0.03, 5.0, 9.0]),
+        ("torus", Box::new(torus([0.3, 0.2, 0.1], 6.0, 2.0)), [0.03, 4.0, 12.0]),
+        ("thread", Box::new(thread(1.6)), [0.03, 7.0, 9.0]),
     ];
     for (name, phi, limits) in shapes {
         let band = band(IVec3::splat(-20), IVec3::splat(20), &phi);
@@ -73,8 +74,11 @@ fn strongly_curved_surfaces_are_fine() {
 
 #[test]
 fn weakly_curved_surfaces_are_unchanged() {
-    let plane = |[x, y, z]: [f64; 3]| (x + 2.0 * y + 3.0 * z - 0.7) / 14f64.sqrt();
-    let planes = band(IVec3::splat(-16), IVec3::splat(16), |point| plane(point).max(-plane(point) - 9.0));
+    let rounded_box = |point: [f64; 3]| {
+        let beyond = DVec3::from(point).abs() - 6.3;
+        beyond.max(DVec3::ZERO).length() + beyond.max_element().min(0.0) - 5.0
+    };
+    let planes = band(IVec3::splat(-20), IVec3::splat(20), rounded_box);
     let ball = band(IVec3::splat(-16), IVec3::splat(16), sphere([0.3, 0.2, 0.1], 9.0));
     for band in [planes, ball] {
         assert_eq!(refined(&band), contour(&band, &UNIT, Contouring::Dual));
@@ -120,9 +124,12 @@ fn lone_drops_are_round() {
         let options = Options { spacing: Some(1.0), ..Options::default() };
         let drop = reconstruct(&[center.to_array()], &options).expect("valid");
         let points = &drop.positions;
-        angles.extend(points.iter().zip(&drop.normals).map(|(&point, normal)| {
-            (point - center).angle_between(normal.as_dvec3()).to_degrees()
-        }));
+        angles.extend(
+            points
+                .iter()
+                .zip(&drop.normals)
+                .map(|(&point, normal)| (point - center).angle_between(normal.as_dvec3()).to_degrees()),
+        );
         faces.extend(drop.triangles.iter().map(|triangle| {
             let [a, b, c] = triangle.map(|vertex| points[vertex as usize]);
             ((a + b + c) / 3.0 - center).angle_between((b - a).cross(c - a)).to_degrees()
