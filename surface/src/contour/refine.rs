@@ -14,11 +14,12 @@
 //! as the normals of its ends tell, and only where the radius of curvature is small: flat water keeps its
 //! triangles. Both triangles of an edge see the same split, so the mesh stays closed and manifold.
 //!
-//! New vertices are moved along ∇φ onto the zero of the [tricubic interpolant](Sampler), and so are the ends of
-//! split edges: the dual mesh places them by a stencil that is good enough only for larger radii. Their normals
-//! are its gradients. A step is shorter than a part of the edge, so triangles do not fold.
+//! A new vertex starts in the middle of a cubic curve between the ends, and one step along ∇φ moves it onto the
+//! zero of the [tricubic spline](Sampler). So are the ends moved: some of them are not quite there, because they
+//! must stay in their cells. Normals are gradients of φ like those of all other vertices, so a reflection does not
+//! show where triangles were split. The steps are shorter than a part of the edge, so triangles do not fold.
 //!
-//! Triangles that are not split come first, in their order. The others follow, each with its first vertex
+//! Triangles that are not split come first, in their order. The others follow, each with its lowest vertex
 //! first, so no two of them look like the halves of a [quad](Mesh::quads); the other half of a quad of which
 //! one half is split is among them.
 
@@ -37,7 +38,7 @@ use crate::space::Lattice;
 const ROUNDS: usize = 2;
 
 /// Edges are split where φ = 0 is farther from their middle than this, in voxels.
-const TOLERANCE: f32 = 0.038;
+const TOLERANCE: f32 = 0.036;
 
 /// Edges are split where the radius of curvature is less than this, in voxels.
 const RADIUS: f32 = 3.0;
