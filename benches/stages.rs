@@ -29,7 +29,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use glam::Vec3;
-use meniscus::surface::anisotropy::{NeighborConfig, Stretch, from_neighbors};
+use meniscus::surface::anisotropy::{KernelConfig, NeighborConfig, Stretch, from_neighbors};
 use meniscus::surface::neighbors::Neighbors;
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::OwnedPositions;
@@ -222,17 +222,19 @@ const SHAPED_COUNT: f64 = 6e5;
 /// Measures and prints the time for shapes from neighbours.
 fn print_shapes(pools: &[ThreadPool; 2]) {
     let (particles, spacing) = frame(SHAPED_COUNT);
-    // 3·r_min, where r_min is √3·h and h half the spacing.
+    // As with the default settings, where the reach of kernels is 2 spacings, and h 0.32.
     let config = NeighborConfig {
-        radius_world: 1.5 * 3f64.sqrt() * spacing,
+        radius_world: 2.8 * spacing,
         weight_scale: 1.0,
         own_spacing: 1.0,
         stretch: Some(Stretch {
-            max_stretch: 4.0,
-            floor: 1.0,
-            lone: 1.0,
-            lone_floor: 1.0,
-            lone_shares: [1.0; 2],
+            max_stretch: 2.0,
+            floor: 0.5,
+            kernels: Some(KernelConfig {
+                per_reach: 2.8 / 2.0,
+                room_least: 0.03 / 0.32,
+                room_most: 0.45 / 0.32,
+            }),
         }),
     };
     let count = particles.len() as f64;

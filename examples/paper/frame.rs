@@ -64,11 +64,7 @@ fn voxels(files: &Files, particles: &OwnedPositions) -> Outcome<()> {
     let mut rows = Vec::new();
     let mut pictures = Vec::new();
     let usual = Settings::paper(VOXEL_SIZE, &MethodOptions::default())?;
-    let radii = MethodOptions {
-        radius_min: Some(usual.radius_min.into()),
-        radius_init: Some(usual.radius_init.into()),
-        ..MethodOptions::default()
-    };
+    let radii = MethodOptions { radius_min: Some(usual.radius_min.into()), ..MethodOptions::default() };
     for (part, choices) in [(1.0, MethodOptions::default()), (0.5, MethodOptions::default()), (0.25, radii)] {
         let voxel_size = part * SPACING;
         let surface = reconstruct_frame(particles, &Settings::paper(voxel_size, &choices)?);

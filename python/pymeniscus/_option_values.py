@@ -23,12 +23,12 @@ class OptionValues(TypedDict, total=False):
         Distance d between neighbouring particles, in world units, positive [default: measured]
     voxel_size : float | str
         Voxel edge length h, positive, in world units or particle spacings [default: 0.32d]
+    blend : float | str
+        Distance up to which particles blend with others, 3.6h to 64h: larger is smoother and joins drops earlier; with all presets but paper [default: 2d, but no less than 3.6h]
     radius_min : float | str
-        Radius r_min of the sphere around each particle, positive; the surface encloses the spheres around smoothed positions, but particles in sheets and filaments get a flattened ellipsoid instead (`anisotropy`) [default: 0.68d, but no less than √3·h]
+        Radius r_min of the spheres that the surface encloses, positive, for `preset` paper [default: √3·h]
     radius_ratio : float
-        Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle, and r_max is at most 64h [default: 2.8]
-    radius_init : float | str
-        Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.5 r_min, or less if r_min is raised for coarse voxels]
+        Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle, and r_max is at most 64h; for `preset` paper [default: 2]
     offset : float | str
         Move the finished surface outward by this distance, -r_min to 2h; negative moves it inward [default: 0]
     columns : str
@@ -42,15 +42,11 @@ class OptionValues(TypedDict, total=False):
     anisotropy : Literal["none", "neighbors", "velocity"]
         How to stretch particles, so that sheets and jets are thin and smooth [default: neighbors]
     max_stretch : float
-        Maximum ratio of a particle's longest semi-axis to its shortest, 1 to 8 [default: 4]
-    thin_radius : float | str
-        Smallest semi-axis of flattened particles, 0.9h to r_min, for `anisotropy` neighbors; smaller makes thinner sheets [default: 0.36d]
-    lone_radius : float | str
-        r_min of particles without neighbours (drops), positive and at most `radius_min`; for `anisotropy` neighbors [default: 0.63d]
+        Maximum ratio of a particle's longest semi-axis to its shortest, 1 to 8 [default: 2]
     neighbor_radius : float | str
-        Search radius for neighbours, positive and at most 200h, for `anisotropy` neighbors and `position_smoothing` [default: 2.8d]
+        Search radius for neighbours, positive and at most 200h [default: 2.8d]
     position_smoothing : float
-        Move particles near the surface toward the mean of their neighbours by this fraction of the distance, 0 to 1 [default: 0.55]
+        Move particles near the surface toward the mean of their neighbours by this fraction of the distance, 0 to 1 [default: 0.4]
     velocity_gain : float
         Stretch each particle along its velocity by how far it moves in this time, in units of its r_min; positive, only for `anisotropy` velocity [default: 0.01]
     void_threshold : float
@@ -86,7 +82,7 @@ class OptionValues(TypedDict, total=False):
     integrator : Literal["fast", "implicit", "explicit", "adaptive"]
         Time integrator of the smoothing [default: fast]
     laplacian_steps : int
-        Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are recomputed in their place [default: 3 (d/h)², 29 on the default grid]
+        Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are recomputed in their place [default: 1.6 (d/h)², 16 on the default grid]
     steps : int
         Number of biharmonic steps, 0 to 1000000 [default: 1; explicit, adaptive: as many as give the same total pseudo-time]
     step_size : float
@@ -98,9 +94,9 @@ class OptionValues(TypedDict, total=False):
     preset: Literal["fluid", "noisy", "splash", "granular", "preview", "paper", "auto", "sph", "flip", "mpm", "sand"] | None
     spacing: float | None
     voxel_size: float | str | None
+    blend: float | str | None
     radius_min: float | str | None
     radius_ratio: float | None
-    radius_init: float | str | None
     offset: float | str | None
     columns: str | None
     where: str | Sequence[bool] | NDArray[np.bool_] | None
@@ -108,8 +104,6 @@ class OptionValues(TypedDict, total=False):
     radius_scale: float | None
     anisotropy: Literal["none", "neighbors", "velocity"] | None
     max_stretch: float | None
-    thin_radius: float | str | None
-    lone_radius: float | str | None
     neighbor_radius: float | str | None
     position_smoothing: float | None
     velocity_gain: float | None

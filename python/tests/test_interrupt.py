@@ -94,7 +94,7 @@ def test_memory_is_flat():
             body = pymeniscus.Obstacle(corners, faces)
             made = pymeniscus.reconstruct(points, velocity=velocity, formats=["vdb"], obstacles=body)
             made.write(os.path.join(folder.name, "surface.glb"))
-            for wrong in (dict(radius_ratio=0.5), dict(memory="1KiB")):
+            for wrong in (dict(blend="65h"), dict(memory="1KiB")):
                 try:
                     pymeniscus.reconstruct(points, spacing=0.1, **wrong)
                 except pymeniscus.MeniscusError:

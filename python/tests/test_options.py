@@ -88,10 +88,11 @@ def test_settings_give_the_same_surface_without_warnings(block, options):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"lone_radius": "0.5d", "anisotropy": "none"}, "`lone_radius` is ignored: it is for `anisotropy=\"neighbors\"` only"),
+        ({"max_stretch": 3.0, "anisotropy": "none"}, "`max_stretch` is ignored: it is for `anisotropy=\"neighbors\"`"),
+        ({"radius_min": "1d"}, "`radius_min` is ignored: it is for `preset=\"paper\"` only"),
         ({"void_threshold": 2.0}, "`void_threshold` is ignored: it is for `obstacles` only"),
         (
-            {"neighbor_radius": "3d", "anisotropy": "none", "position_smoothing": 0},
+            {"neighbor_radius": "3d", "preset": "paper"},
             "it is for `anisotropy=\"neighbors\"` and `position_smoothing` only",
         ),
     ],
@@ -116,7 +117,7 @@ def test_options_without_effect_are_warned_about(block, options, text):
         ({"radius_attribute": "size"}, pm.ParticleError, "no attribute `size`, which `radius_attribute` needs"),
         ({"radii": [0] * 1000}, pm.ParticleError, "no positive value, but `radius_attribute` needs radii"),
         ({"anisotropy": "velocity"}, pm.ParticleError, 'no attribute `velocity`, which `anisotropy="velocity"` needs'),
-        ({"voxel_size": 1e-9}, pm.OptionError, "the voxel size 1e-9 is too small"),
+        ({"voxel_size": 1e-9}, pm.OptionError, "64 voxels: choose another voxel size"),
         ({"memory": "1KiB"}, pm.MemoryLimitError, "the limit is 0 MiB: raise it or choose larger voxels"),
     ],
 )

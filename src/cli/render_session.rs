@@ -276,7 +276,7 @@ impl RenderSource {
         };
         let right = self.picture(viewpoint, [width - width / 2, height], false);
         let view = viewpoint.view([width / 2, height]);
-        let radius = BALL_RADIUS * reconstructed.settings.radius_min;
+        let radius = BALL_RADIUS * reconstructed.settings.unit_radius();
         side_by_side(&[render_particles(reconstructed.frame.particles(), radius, &view), right])
     }
 
@@ -390,8 +390,8 @@ pub(super) fn named_picture<'e>(file: &Path, extensions: &[&'e str]) -> Result<(
 /// The attribute that .exr stores in its own layer.
 const VELOCITY: &str = "velocity";
 
-/// The radius of the balls that represent particles, in units of r_min: with the default settings they nearly
-/// touch.
+/// The radius of the balls that represent particles, in units of the radius of a lone drop: with the default
+/// settings they nearly touch.
 const BALL_RADIUS: f64 = 0.5;
 
 // Reads the camera of a scene, or of a picture that meniscus made.

@@ -17,7 +17,7 @@ use crate::pipeline::{
     is_own_output, measure_spacing, measured_by, open_regular, preset_warning, sequence_bounds, step_of,
 };
 use crate::surface::options::{
-    Length, LengthUnit, MethodOptions, OptionGroup, SequenceSpacing, Settings, ValueKind,
+    Length, LengthUnit, MethodOptions, OptionGroup, SequenceSpacing, Settings, Start, ValueKind,
 };
 
 use super::args::{FormatArgs, MethodArgs, OptionSet};
@@ -149,7 +149,7 @@ pub(super) fn report_settings(
     let spacing = measured.filter(|_| choices.spacing.is_none()).map(|measured| {
         let MeasuredSpacing { spacing, radius_median, measured_on, measured_count, .. } = measured;
         let radius = radius_median.map_or(String::new(), |radius| {
-            format!(", and the median r_min of the particles {}", significant(radius))
+            format!(", and the median radius of the particles {}", significant(radius))
         });
         let measured_on = match measured_count {
             1 => frame_name(measured_on),
@@ -159,10 +159,14 @@ pub(super) fn report_settings(
     });
     let spacing = spacing.unwrap_or_default();
     let voxel_size = significant(settings.voxel_size);
-    let [radius_min, radius_init, radius_max] =
+    let [least, init, most] =
         [settings.radius_min, settings.radius_init, settings.radius_max].map(significant);
+    let lengths = match settings.start {
+        Start::Spheres => format!("r_min {least}, r_init {init}, r_max {most}"),
+        Start::Kernels => format!("blend {most}"),
+    };
     console.print_line(format_args!(
-        "{}: {frames}, {spacing}{preset}voxel size {voxel_size}, r_min {radius_min}, r_init {radius_init}, r_max {radius_max}, {}",
+        "{}: {frames}, {spacing}{preset}voxel size {voxel_size}, {lengths}, {}",
         sequence.name,
         pluralize(settings.smoothing.steps as usize, "step")
     ));

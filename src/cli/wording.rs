@@ -100,14 +100,14 @@ fn remedy(warning: &Warning) -> Option<String> {
             format!("leave {format} out of --format")
         }
         Warning::Surface(SurfaceWarning::OffsetAway { .. }) => {
-            "use an --offset nearer to 0, or larger radii (--radius-min, --lone-radius)".to_owned()
+            "use an --offset nearer to 0, or larger particles (--blend, or --radius-min with --preset paper)".to_owned()
         }
         Warning::Surface(SurfaceWarning::BetweenVoxels { voxel_size, .. }) => {
             format!("use --radius-min {} or more", significant(3f64.sqrt() * voxel_size))
         }
         Warning::Surface(SurfaceWarning::Spray { .. } | SurfaceWarning::Blob { .. }) => of_spacing.to_owned(),
         Warning::Surface(SurfaceWarning::Holes { .. } | SurfaceWarning::Fragmented { .. }) => {
-            "check --spacing and --voxel-size, or leave them out; with --preset paper also give --radius-min 0.87d"
+            "check --spacing, --voxel-size and --blend, or leave them out; with --preset paper also give --radius-min 0.87d"
                 .to_owned()
         }
         _ => return None,

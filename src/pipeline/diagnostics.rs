@@ -12,7 +12,7 @@
 use glam::Vec3;
 
 use crate::surface::mesh::Mesh;
-use crate::surface::options::Settings;
+use crate::surface::options::{Settings, Start};
 use crate::surface::report::ReconstructionReport;
 
 use crate::pipeline::warning::{SurfaceWarning, Warning};
@@ -39,10 +39,12 @@ fn why_empty(report: &ReconstructionReport, settings: &Settings) -> Option<Surfa
     } else if contact.particle_count > 0 || contact.displaced_voxel_count > 0 {
         SurfaceWarning::InsideObstacles
     } else {
-        // A ball with a radius of √3 voxels or more always has voxels inside, so the balls of this frame are
-        // smaller, or an offset moved their surface inward.
-        let Settings { voxel_size, radius_min, radius_max, offset, .. } = *settings;
-        if offset < 0.0 && radius_min >= 3f64.sqrt() * voxel_size {
+        // A ball that the grid resolves always has voxels inside, so the balls of this frame are smaller, or an
+        // offset moved their surface inward.
+        let Settings { voxel_size, start, radius_min, radius_max, offset, .. } = *settings;
+        // With kernels balls are never smaller.
+        let is_resolved = start == Start::Kernels || radius_min >= start.resolved_voxels() * voxel_size;
+        if offset < 0.0 && is_resolved {
             return Some(SurfaceWarning::OffsetAway { offset });
         }
         SurfaceWarning::BetweenVoxels { voxel_size, radius_min, radius_max }

@@ -80,7 +80,7 @@ pub enum InputWarning {
     PresetNotMeasured { used: Preset },
     /// All particles have the same coordinate along this axis.
     Planar { axis: char, at: f64 },
-    /// Radii too small for the grid. `radius_min` is r_min of the smallest one, in world units.
+    /// Radii too small for the grid. `radius_min` is the smallest one, in world units.
     SmallRadii { count: usize, radius_min: f64 },
     /// Radii that are not positive numbers.
     InvalidRadii { count: usize },
@@ -144,9 +144,9 @@ pub enum FrameWarning {
 pub enum Violation {
     /// φ leaves its bounds.
     OutOfBounds { voxel_count: usize },
-    /// Vertices nearer to a particle than r_min, by more than half a voxel.
+    /// Vertices nearer to a particle than the limit, by more than half a voxel.
     VerticesTooNear { count: usize, nearest_voxels: f64 },
-    /// Vertices farther from all particles than r_max, by more than half a voxel.
+    /// Vertices farther from all particles than the limit, by more than half a voxel.
     VerticesTooFar { count: usize, farthest_voxels: f64 },
     /// Particles that the surface does not enclose.
     NotEnclosed { count: usize },
@@ -362,7 +362,7 @@ impl fmt::Display for InputWarning {
                 significant(*at)
             ),
             InputWarning::SmallRadii { count, .. } => {
-                write!(f, "{} too small for the grid: r_min was set to √3·h", particles(count))
+                write!(f, "{} too small for the grid: their radius was set to the smallest that it resolves", particles(count))
             }
             InputWarning::InvalidRadii { count } => write!(
                 f,
@@ -414,14 +414,14 @@ impl fmt::Display for SurfaceWarning {
             SurfaceWarning::Holes { particle_count, hole_count, voxel_size } => write!(
                 f,
                 "the surface of {particle_count} particles has {}: unless the fluid really has them, the voxel size {} \
-                 or the radii are too small for the particle spacing",
+                 or the size of particles is too small for the particle spacing",
                 pluralize(*hole_count, "hole"),
                 significant(*voxel_size)
             ),
             SurfaceWarning::Fragmented { particle_count, piece_count, voxel_size } => write!(
                 f,
                 "{particle_count} particles became {piece_count} pieces, none with half of the volume: unless they really are spray, \
-                 the voxel size {} or the radii are too small for the particle spacing",
+                 the voxel size {} or the size of particles is too small for the particle spacing",
                 significant(*voxel_size)
             ),
             SurfaceWarning::Blob { particle_count, width_voxels, voxel_size } => write!(
@@ -503,20 +503,18 @@ impl fmt::Display for FrameWarning {
 impl fmt::Display for Violation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Violation::OutOfBounds { voxel_count } => write!(
-                f,
-                "the level set is outside its bounds (distances to the r_min and r_max spheres) at {}",
-                pluralize(*voxel_count, "voxel")
-            ),
+            Violation::OutOfBounds { voxel_count } => {
+                write!(f, "the level set is outside its bounds at {}", pluralize(*voxel_count, "voxel"))
+            }
             Violation::VerticesTooNear { count, nearest_voxels } => write!(
                 f,
-                "{} of the mesh too near to a particle (nearer than r_min by more than half a voxel); the smallest distance is {} voxels",
+                "{} of the mesh too near to a particle (nearer than allowed by more than half a voxel); the smallest distance is {} voxels",
                 pluralize(*count, "vertex"),
                 significant(*nearest_voxels)
             ),
             Violation::VerticesTooFar { count, farthest_voxels } => write!(
                 f,
-                "{} of the mesh too far from all particles (farther than r_max by more than half a voxel); the largest distance is {} voxels",
+                "{} of the mesh too far from all particles (farther than allowed by more than half a voxel); the largest distance is {} voxels",
                 pluralize(*count, "vertex"),
                 significant(*farthest_voxels)
             ),

@@ -545,10 +545,10 @@ def errors():
     settings.radius_attribute = "pscale"
     said.append(("“pscale”", labels()))
     settings.radius_attribute = "radius"
-    settings.options.radius_min_unit, settings.options.radius_min = "h", 500
-    settings.options.use_radius_min = True
-    said.append(("at most 64", labels()))
-    settings.options.use_radius_min = False
+    settings.options.blend_unit, settings.options.blend = "h", 500
+    settings.options.use_blend = True
+    said.append(("to 64 voxels", labels()))
+    settings.options.use_blend = False
     settings.velocity_attribute = "speed"
     said.append(("no motion blur", labels()))
     settings.velocity_attribute = "velocity"

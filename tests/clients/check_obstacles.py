@@ -2,7 +2,7 @@
 tetrahedron covered with particles (paper, Fig. 15 and 16).
 
     clear       no vertex is deeper in the obstacle than a quarter of a voxel
-    no void     wherever the initial surface reaches the obstacle, the mesh is within a quarter of a voxel of
+    no void     wherever the fluid reaches the obstacle, the mesh is within a quarter of a voxel of
                 the obstacle, except next to the contact line, where its edge is rounded
     certified   the frame's certificate holds, and the report states the same depth of the deepest vertex
 
@@ -25,8 +25,8 @@ from project import DATA, WORK, Check, convert, data_is_there
 FOLDER = WORK / "obstacles"
 # Largest depth of a vertex in the obstacle, and largest distance of the mesh from a wet wall, in voxels.
 DEPTH_MAX = 0.25
-# A point of the obstacle is wet if its distance from a particle is less than r_init plus this margin, in
-# voxels. With the negative margin, the initial surface covers the wet points. With the positive margin, a
+# A point of the obstacle is wet if its distance from a particle is less than a quarter of the reach of kernels
+# plus this margin, in voxels. With the negative margin, the fluid covers the wet points. With the positive margin, a
 # void may be between, which is narrower than the threshold of two voxels and so gets filled. Inside the contact
 # line of a dam break, the edge of the fluid is rounded over a voxel and a half.
 COVERED, APART, INSIDE = -0.5, 1.0, -1.5
@@ -46,8 +46,8 @@ def main():
     if data_is_there():
         for name, voxel_size in FRAMES.items():
             check.line(name, *dam_break(name, voxel_size))
-    check.line("tetrahedron", *tetrahedron("tetrahedron", 0.03, COVERED))
-    check.line("tetrahedron, particles apart", *tetrahedron("apart", 0.115, APART))
+    check.line("tetrahedron", *tetrahedron("tetrahedron", 0.02, COVERED))
+    check.line("tetrahedron, particles apart", *tetrahedron("apart", 0.08, APART))
     check.end()
 
 
@@ -120,10 +120,12 @@ def deepest(obstacle, vertices, voxel_size):
 def widest_gap(obstacle, particles, surface, settings, wet_margin):
     """The largest distance of the surface from a wet point of the obstacle, in voxels; and the number of wet
     points."""
-    voxel_size, radius_init = settings["voxel_size"], settings["radius_init"]
+    voxel_size = settings["voxel_size"]
+    # The surface of a lone particle is a little farther away from it.
+    depth = 0.25 * settings["blend"]
     places, _ = trimesh.sample.sample_surface(obstacle, 20000, seed=1)
     distances, _ = cKDTree(particles).query(places)
-    is_wet = distances < radius_init + wet_margin * voxel_size
+    is_wet = distances < depth + wet_margin * voxel_size
     is_flat = edge_distances(obstacle, places) > EDGE_WIDTH * voxel_size
     wet = places[is_wet & is_flat]
     _, gaps, _ = trimesh.proximity.closest_point(surface, wet)

@@ -27,7 +27,7 @@ SHARD_COUNT = 4
 BROKEN_SHARD = 2
 KILLED_SHARD = 3
 # The voxels are so small that a frame takes long enough to kill a shard between two frames.
-OPTIONS = ["--format", "glb,vdb", "--preset", "paper", "--voxel-size", "0.008", "--radius-min", "0.0277", "--radius-init", "0.0416"]
+OPTIONS = ["--format", "glb,vdb", "--preset", "paper", "--voxel-size", "0.008", "--radius-min", "0.0277"]
 DEADLINE_SECONDS = 200
 
 

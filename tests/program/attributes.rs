@@ -227,7 +227,7 @@ fn voxel_size_is_small_enough_for_radii_from_a_column() {
     assert!(
         result.status == 0
             && result.out.contains(
-                "the median r_min of the particles 0.05 (measured on f.bgeo), voxel size 0.0288675"
+                "the median radius of the particles 0.05 (measured on f.bgeo), voxel size 0.0288675"
             ),
         "{}",
         result.out

@@ -36,15 +36,16 @@ fn contradictory_arguments_are_refused() {
         (&["dam.1.ply", "--threads", "0"], &["--threads"]),
         (&["dam.1.ply", "--format", "fbx"], &["fbx"]),
         (&["dam.1.ply", "--voxel-size", "-1"], &["voxel size", "positive"]),
-        (&["dam.1.ply", "--radius-min", "-0.1"], &["-0.1", "radius"]),
-        (&["dam.1.ply", "--radius-init", "-0.001"], &["radius"]),
-        (&["dam.1.ply", "--radius-ratio", "-2"], &["ratio", "at least 1"]),
+        (&["dam.1.ply", "--blend", "-0.1"], &["-0.1", "blend", "positive"]),
+        (&["dam.1.ply", "--blend", "65h"], &["65h", "to 64 voxels"]),
+        (&["dam.1.ply", "--preset", "paper", "--radius-min", "-0.1"], &["-0.1", "radius"]),
+        (&["dam.1.ply", "--preset", "paper", "--radius-ratio", "-2"], &["ratio", "at least 1"]),
         (&["dam.1.ply", "--step-size", "-1"], &["--step-size", "1e-6 to 10000"]),
         (&["dam.1.ply", "--steps", "-1"], &["invalid value '-1' for '--steps"]),
         (&["dam.1.ply", "--frames", "1-2x"], &["`1-2x` is not a selection of frames"]),
         (&["dam.1.ply", "--voxel-size=-1"], &["voxel size", "positive"]),
         (&["dam.1.ply", "--voxel-size", "nan"], &["voxel size"]),
-        (&["dam.1.ply", "--radius-ratio", "0.5"], &["ratio", "at least 1"]),
+        (&["dam.1.ply", "--preset", "paper", "--radius-ratio", "0.5"], &["ratio", "at least 1"]),
         (&["dam.1.ply", "--report", "missing/report.json"], &["missing"]),
         (&["dam.1.ply", "--clip", "nan,0,0,1,1,1"], &["the box NaN,0,0,1,1,1", "six finite numbers"]),
         (&["dam.1.ply", "--clip", "0,0,0,1,inf,1"], &["not finite", "x0,y0,z0,x1,y1,z1"]),
@@ -97,7 +98,7 @@ fn unwritable_output_folder_is_refused() {
             &["render", "dam.#.ply", "--out", out],
             &["man", "--out", out],
             &["contact-sheet", "dam.#.ply", "-o", &sheet],
-            &["tune", "dam.#.ply", "--vary", "radius-ratio=1.5,2", "-o", &sheet],
+            &["tune", "dam.#.ply", "--vary", "blend=1.8d,2d", "-o", &sheet],
         ] {
             let result = meniscus(path, command);
             assert_eq!((result.status, &*result.out), (2, ""), "{command:?} {out}: {}", result.err);
@@ -183,7 +184,7 @@ fn help_and_version_succeed() {
         assert_eq!(meniscus(folder.path(), arguments).status, 0);
     }
     let help = meniscus(folder.path(), &["convert", "--help"]).out;
-    for word in ["[default: 0.32d", "√3·h", "r_max / r_min", "0.9 spacings", "Exit status"] {
+    for word in ["[default: 0.32d", "√3·h", "r_max / r_min", "blend with others", "Exit status"] {
         assert!(help.contains(word), "the help does not say {word}");
     }
 }
@@ -255,7 +256,7 @@ fn settings_are_printed_for_each_sequence() {
 fn warnings_name_the_sequence() {
     let folder = folder();
     write_sequence(folder.path(), 1, 1);
-    let arguments = ["convert", "dam.1.ply", "--out", "o", "--radius-min", "0.05"];
+    let arguments = ["convert", "dam.1.ply", "--out", "o", "--preset", "paper", "--radius-min", "0.05"];
     let result = meniscus(folder.path(), &arguments);
     assert_eq!(result.err.matches("warning: dam.1.ply: r_min is").count(), 1, "{}", result.err);
 }
@@ -294,8 +295,8 @@ fn numbers_are_short_at_any_scale() {
     let result = meniscus(folder.path(), &["convert", "small.ply", "--out", "o"]);
     let line = result.out.lines().find(|line| line.contains("voxel size")).expect("the settings").to_owned();
     let numbers: Vec<&str> = line.split([' ', ',', '(', ')']).filter(|word| word.contains("e-")).collect();
-    // The voxel size, the spacing and three radii.
-    assert_eq!(numbers.len(), 5, "{line}");
+    // The voxel size, the spacing and how far particles blend.
+    assert_eq!(numbers.len(), 3, "{line}");
     assert!(numbers.iter().all(|n| n.len() <= 10 && n.parse().is_ok_and(|n: f64| n > 0.0)), "{line}");
 }
 

@@ -49,7 +49,7 @@ fn outputs_have_the_names_of_their_frames() {
 fn stl_far_from_the_origin_fails() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
-    let row = |[x, y, z]: [f64; 3]| format!("{},{},{z}\n", x + 694_386.25, y + 5_155_487.5);
+    let row = |[x, y, z]: [f64; 3]| format!("{},{},{z}\n", x + 694_386.2, y + 5_155_487.3);
     let rows: String = block(6, 0.0).into_iter().map(row).collect();
     fs::write(path.join("far.csv"), format!("x,y,z\n{rows}")).expect("written");
     converted(path, &["far.csv", "--out=alone", "--format=glb,ply"]);

@@ -18,7 +18,14 @@ fn scene() -> TempDir {
     let folder = tempdir().expect("a folder");
     fs::create_dir(folder.path().join("in")).expect("made");
     write_ply(&folder.path().join("block.ply"), &block(8, 0.0125));
-    let rough = ["--laplacian-steps=0", "--steps=0", "--voxel-size=0.05", "--format=vdb,obj", "--out=in"];
+    let rough = [
+        "--preset=paper",
+        "--laplacian-steps=0",
+        "--steps=0",
+        "--voxel-size=0.05",
+        "--format=vdb,obj",
+        "--out=in",
+    ];
     let result = meniscus(folder.path(), &[&["convert", "block.ply"], &rough[..]].concat());
     assert_eq!(result.status, 0, "{}", result.err);
     folder

@@ -330,7 +330,7 @@ fn invalid_picture_arguments_are_refused() {
         (&["broken.vdb", "-o", "a.png", "--particles"], &["--particles"]),
         (&["broken.stl", "-o", "a.png"], &["broken.stl", "not a supported mesh format"]),
         (&["broken.stl", "-o", "a.png", "--particles"], &["this is a mesh"]),
-        (&["broken.stl", "-o", "a.png", "--radius-ratio=3"], &["a level set or a mesh: this option is for"]),
+        (&["broken.stl", "-o", "a.png", "--blend=3"], &["a level set or a mesh: this option is for"]),
     ] {
         let result = meniscus(path, &[&["render"], arguments].concat());
         assert_eq!(result.status, 2, "{arguments:?}: {} {}", result.out, result.err);

@@ -55,7 +55,7 @@ fn outputs_for_other_programs_record_the_generator() {
     fs::write(path.join("rock.obj"), tetrahedron.replace("0.3", "0.2")).expect("written");
     assert!(!meniscus(path, &all).out.contains("done already"));
     let with = |option: &'static str| [&all[..], &[option]].concat();
-    for option in ["--radius-ratio=1.5", "--up=z"] {
+    for option in ["--blend=2.5d", "--up=z"] {
         let result = meniscus(path, &with(option));
         assert!(
             result.status == 0 && !result.out.contains("done already"),

@@ -105,7 +105,7 @@ fn sheet_of_a_sequence_shows_a_picture_of_each_frame() {
         "{}",
         result.out
     );
-    let result = sheet_of(path, &["dam.#.ply", "--frames", "2-3", "--radius-ratio", "3"]);
+    let result = sheet_of(path, &["dam.#.ply", "--frames", "2-3", "--blend", "2.5d"]);
     assert!(result.status == 0 && result.out.contains("dam: 2 frames, from particles"), "{}", result.out);
     // The sheet in the folder is not a frame.
     let result = meniscus(path, &["convert", ".", "--out", "o", "--format", "vdb"]);
@@ -206,7 +206,7 @@ fn printed_commands_give_the_pictures_of_the_cells() {
     let path = folder.path();
     write_ply(&path.join("dam.7.ply"), &block(8, 0.0));
     let tune = ["tune", "dam.7.ply", "-o", "tune.png", "--size", SIZE, "--results", "my meshes", "--vary"];
-    let tune = [&tune[..], &["radius-ratio=1.25,3", "--vary", "preset=fluid,granular,paper"]].concat();
+    let tune = [&tune[..], &["laplacian-steps=2,40", "--vary", "preset=fluid,granular,paper"]].concat();
     let tune = [&tune[..], &["--fill-cavities=9", "--clip", "-1,-1,-1,0.6,2,2"]].concat();
     let tune = [&tune[..], &["--smooth-normals=2"]].concat();
     let result = meniscus(path, &[&tune[..], &["--threads", "1"]].concat());
@@ -238,8 +238,7 @@ fn printed_commands_give_the_pictures_of_the_cells() {
         let same = level_set.iter().filter(|(name, _)| picture.contains_key(*name));
         let same: Vec<&String> =
             same.filter(|(name, value)| picture[*name] == **value).map(|(n, _)| n).collect();
-        for name in ["input_hash", "voxel_size", "radius_min", "radius_max", "steps", "clip", "fill_cavities"]
-        {
+        for name in ["input_hash", "voxel_size", "laplacian_steps", "steps", "clip", "fill_cavities"] {
             assert!(same.iter().any(|same| *same == name), "{name}: {level_set:?} {picture:?}");
         }
         cells.push(Seen::read(&path.join("cell.png")).pixels);
@@ -282,9 +281,9 @@ fn each_cell_is_what_its_command_reads_and_measures() {
         }
     }
     // Without --vary, an option that is given is not varied.
-    let result = meniscus(path, &[&tune[..], &["--radius-ratio", "2"]].concat());
+    let result = meniscus(path, &[&tune[..], &["--laplacian-steps", "2"]].concat());
     assert_eq!(result.status, 0, "{}", result.err);
-    assert!(result.out.contains("3: position-smoothing 0.55 (as typed): "), "{}", result.out);
+    assert!(result.out.contains("3: position-smoothing 0.4 (as typed): "), "{}", result.out);
     assert_eq!(commands(&result.out).len(), 4);
 }
 
@@ -306,10 +305,14 @@ fn invalid_setting_leaves_the_other_cells() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 3);
-    let tune = ["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "radius-ratio=0.5,2"];
+    let tune = ["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "blend=65h,7h"];
     let result = meniscus(path, &tune);
     assert_eq!(result.status, 1, "{} {}", result.out, result.err);
-    assert!(result.err.contains("cell 1: radius-ratio 0.5: the radius ratio is 0.5"), "{}", result.err);
+    assert!(
+        result.err.contains("cell 1: blend 65h: the distance up to which particles blend 65h is "),
+        "{}",
+        result.err
+    );
     assert!(
         result.out.contains("showing dam.2.ply, one of 3 frames of ") && commands(&result.out).len() == 1,
         "{}",
@@ -325,9 +328,9 @@ fn invalid_setting_leaves_the_other_cells() {
     assert_eq!(result.status, 0, "{}", result.err);
     assert!(result.err.contains("dam.3.ply: its sequence has 3 frames"), "{}", result.err);
     // If the common settings are invalid, there is nothing to compare.
-    let result = meniscus(path, &["tune", ".", "-o", "u.png", "--radius-min", "-1"]);
+    let result = meniscus(path, &["tune", ".", "-o", "u.png", "--blend", "-1"]);
     assert!(
-        result.status == 2 && result.err.contains("r_min") && !path.join("u.png").exists(),
+        result.status == 2 && result.err.contains("particles blend is -1") && !path.join("u.png").exists(),
         "{}",
         result.err
     );
@@ -377,11 +380,11 @@ fn invalid_sheet_arguments_are_refused() {
     for (varied, given, words) in [
         (&["size=1"][..], &[][..], "no option --size to vary"),
         (&["radius-ratio=x"], &[], "radius-ratio: `x` is not a number"),
-        (&["radius-min=0.6w"], &[], "radius-min: `0.6w` is not a length"),
+        (&["blend=0.6w"], &[], "blend: `0.6w` is not a length"),
         (&["steps=1", "steps=2"], &[], "--vary steps: give all values of an option in one --vary"),
         (&["steps=1", "offset=0", "quads=true"], &[], "varies at most two options"),
         (&["steps=1"], &["--steps=2"], "--steps is given and varied"),
-        (&["thin-radius=0.5d"], &["--preset=paper"], "has no effect without --anisotropy neighbors"),
+        (&["blend=2d"], &["--preset=paper"], "has no effect without --preset fluid"),
         (&["velocity-gain=1", "anisotropy=none,neighbors"], &[], "without --anisotropy velocity"),
         (&[&many], &[], "101 cells; at most 100"),
     ] {

@@ -427,7 +427,7 @@ fn spacing_follows_the_particles_own_radii() {
     let path = folder.path();
     let rows: String = (0..6).map(|n| format!("{n},0,0,{}\n", 0.1 + 0.04 * f64::from(n))).collect();
     fs::write(path.join("six.csv"), format!("x,y,z,pscale\n{rows}")).expect("written");
-    for more in [&["--voxel-size=0.02", "--radius-ratio=1.5"][..], &[]] {
+    for more in [&["--voxel-size=0.02", "--max-stretch=1.5"][..], &[]] {
         let typed = ["convert", "six.csv", "--out=o", "--format=obj", "--radius-attribute=pscale"];
         let result = meniscus(path, &[&typed, more].concat());
         assert_eq!(result.status, 0, "{}", result.err);

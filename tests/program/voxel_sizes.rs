@@ -105,16 +105,10 @@ fn every_command_refuses_voxels_that_are_too_small() {
         &["watch", "in", "--out", "seen", "--once", "--settle", "0s"],
     ] {
         let result = meniscus(path, &[command, &["--voxel-size", "1e-9"]].concat());
-        // A smaller ratio would not help.
-        let words = "the voxel size 1e-9 is too small: r_max is 190400000 voxels; it must be at most 64; \
-                     use a voxel size of at least 0.003";
-        assert!(
-            result.status != 0 && result.err.contains(words),
-            "{command:?}: {}{}",
-            result.out,
-            result.err
-        );
-        assert!(!result.err.contains("smaller ratio"), "{}", result.err);
+        assert_ne!(result.status, 0, "{command:?}: {}{}", result.out, result.err);
+        for words in ["particles blend is 0.", "to 6.4e-8, ", " to 64 voxels: choose another voxel size"] {
+            assert!(result.err.contains(words), "{command:?}: {}{}", result.out, result.err);
+        }
         let result = meniscus(path, &[command, &["--preset", "paper", "--voxel-size", "1e-9"]].concat());
         assert_ne!(result.status, 0, "{command:?}: {}{}", result.out, result.err);
         for word in [
@@ -155,8 +149,7 @@ fn empty_surface_causes_a_warning_with_a_remedy() {
     }
     let inward = ["--spacing", "0.1", "--offset", "-0.6d", "--allow-violations"];
     let of_offset = warnings_of(folder.path(), &[[0.5; 3]], &inward);
-    for word in ["the offset -0.06 removed the whole surface", "--lone-radius", "1 of 1 particle is outside"]
-    {
+    for word in ["the offset -0.06 removed the whole surface", "--blend", "1 of 1 particle is outside"] {
         assert!(of_offset.contains(word), "it does not say {word}: {of_offset}");
     }
     write_ply(&folder.path().join("a.ply"), &block(6, 0.013));
@@ -279,8 +272,9 @@ fn ratio_that_suits_no_voxel_size_is_refused_with_its_limit() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_ply(&path.join("a.ply"), &block(6, 0.0));
-    let result = meniscus(path, &["convert", "a.ply", "--out", "out", "--radius-ratio", "1000"]);
-    let words = "the radius ratio is 1000; it must be at most 36.9";
+    let result =
+        meniscus(path, &["convert", "a.ply", "--out", "out", "--preset", "paper", "--radius-ratio", "1000"]);
+    let words = "r_max is 1732.05 voxels; it must be at most 64: choose a smaller ratio";
     assert!(result.status != 0 && result.err.contains(words), "{}{}", result.out, result.err);
     assert!(!result.err.contains("voxel size of at least"), "{}", result.err);
 }

@@ -30,7 +30,7 @@ fn contradictory_arguments_are_refused_before_any_output() {
     assert_refused(path, &[], &["--out", "DIR"]);
     assert_refused(path, &["in"], &["--out"]);
     for (arguments, words) in [
-        (&["--radius-ratio", "0.5"][..], &["in: the radius ratio is 0.5"][..]),
+        (&["--preset", "paper", "--radius-ratio", "0.5"][..], &["in: the radius ratio is 0.5"][..]),
         (&["--settle", "1"], &["--settle", "not a time"]),
         (&["--memory", "lots"], &["--memory", "not a size"]),
         (&["--order", "random"], &["--order", "natural, latest"]),
@@ -45,7 +45,7 @@ fn contradictory_arguments_are_refused_before_any_output() {
 
 /// The range of a number, as the text on its option states it.
 fn stated_range(text: &str) -> Option<String> {
-    let phrases = ["-r_min to 2 h", "r_min to r_max", "0.9 h to r_min", "at least 1", "positive"];
+    let phrases = ["at least 1", "positive"];
     let phrase = phrases.into_iter().find(|phrase| text.contains(phrase)).map(str::to_owned);
     phrase.or_else(|| {
         let words: Vec<&str> = text.split([' ', ',', ';']).collect();
@@ -72,7 +72,6 @@ fn numbers_have_the_documented_ranges() {
         let typed = format!("{option}={value}");
         let others = match option {
             "--voxel-size" | "--spacing" => &[][..],
-            "--thin-radius" | "--lone-radius" => &["--voxel-size=1"],
             "--velocity-gain" => &["--preset=paper", "--voxel-size=1", "--anisotropy=velocity"],
             "--radius-scale" => &["--preset=paper", "--voxel-size=1", "--radius-attribute=pscale"],
             _ => &["--preset=paper", "--voxel-size=1", "--anisotropy=neighbors"],
@@ -90,9 +89,6 @@ fn numbers_have_the_documented_ranges() {
         range_count += 1;
         assert!(of_option(option).contains(&range), "{option} {range}: {}", of_option(option));
         let (bad, good): (Vec<String>, Vec<String>) = match range.split_once(" to ") {
-            Some(("-r_min", _)) => (vec!["-1.8".into(), "2.1".into()], vec!["-1.7".into(), "2".into()]),
-            Some(("0.9 h", _)) => (vec!["0.8".into(), "2.2".into()], vec!["0.9".into(), "2".into()]),
-            Some(("r_min", _)) => (vec!["1.5".into(), "3.7".into()], vec!["1.8".into(), "3.4".into()]),
             Some((least, most)) => {
                 let [low, high]: [f64; 2] = [least, most].map(|bound| bound.parse().expect(&range));
                 let below = if low > 0.0 && low < 1.0 { 0.5 * low } else { low - 1.0 };
@@ -267,7 +263,7 @@ fn printed_settings_are_keys_of_a_file() {
             &[&["--preset", "granular", "--voxel-size", ".04"][..], &obstacle].concat(),
             &["up = \"z\"\n", "vdb = \"half,none\"\n", "void_threshold = 1\n"],
         ),
-        (&["--radius-ratio", "3", "--steps", "10"], &["radius_ratio = 3\n", "steps = 10\n", "up = \"y\"\n"]),
+        (&["--blend", "0.3", "--steps", "10"], &["blend = 0.3\n", "steps = 10\n", "up = \"y\"\n"]),
         (
             &["--preset", "preview", "--integrator", "explicit", "--format", "obj,vdb", "--quads"],
             &["steps = 13\n", "quads = true\n", "step_size = 0.01\n"],
@@ -275,8 +271,8 @@ fn printed_settings_are_keys_of_a_file() {
         (&["--format", "vdb"], &["formats = [\"vdb\"]\n"]),
         (&["--format", "obj,usdc", "--stage", "s.usda", "--fps", "30"], &["/s.usda\"\n", "fps = 30\n"]),
         (
-            &["--spacing", "0.1", "--voxel-size", "0.5d", "--radius-min", "1.1d", "--offset", "1h"],
-            &["voxel_size = 0.05\n", "radius_min = 0.11\n", "offset = 0.05\n"],
+            &["--spacing", "0.1", "--voxel-size", "0.5d", "--blend", "2.2d", "--offset", "1h"],
+            &["voxel_size = 0.05\n", "blend = 0.22\n", "offset = 0.05\n"],
         ),
     ]
     .into_iter()
@@ -313,10 +309,10 @@ fn printed_settings_are_keys_of_a_file() {
 fn printed_settings_without_inputs_keep_relative_lengths() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
-    let refused = meniscus(path, &["convert", "--print-settings", "--radius-min", "0.02"]);
+    let refused = meniscus(path, &["convert", "--print-settings", "--blend", "0.02"]);
     assert!(refused.status == 2 && refused.err.contains("--spacing"), "{}", refused.err);
-    let printed = meniscus(path, &["convert", "--print-settings", "--radius-min", "0.9d", "--offset=-0.5h"]);
-    assert!(printed.out.contains("\nradius_min = \"0.9d\"\n"), "{}{}", printed.out, printed.err);
+    let printed = meniscus(path, &["convert", "--print-settings", "--blend", "2.5d", "--offset=-0.5h"]);
+    assert!(printed.out.contains("\nblend = \"2.5d\"\n"), "{}{}", printed.out, printed.err);
     assert!(printed.out.contains("\noffset = \"-0.5h\"\n"), "{}", printed.out);
 }
 
@@ -334,14 +330,14 @@ fn lengths_in_files_have_units() {
         meniscus(path, &["watch", "--config", "meniscus.toml", "--once"])
     };
     let bytes = |name: &str| fs::read(path.join(name).join("dam.1.vdb")).expect("a result");
-    assert_eq!(watched("units", "voxel_size = \"0.5d\"\nradius_min = \"1.1d\"\noffset = \"-1h\"").status, 0);
-    assert_eq!(watched("world", "voxel_size = 0.05\nradius_min = 0.11\noffset = -0.05").status, 0);
+    assert_eq!(watched("units", "voxel_size = \"0.5d\"\nblend = \"2.2d\"\noffset = \"-1h\"").status, 0);
+    assert_eq!(watched("world", "voxel_size = 0.05\nblend = 0.22\noffset = -0.05").status, 0);
     assert!(bytes("units") == bytes("world"));
     // The options are the same as those that are recorded.
-    let result = watched("units", "voxel_size = \"0.5d\"\nradius_min = \"1.1d\"\noffset = \"-1h\"");
+    let result = watched("units", "voxel_size = \"0.5d\"\nblend = \"2.2d\"\noffset = \"-1h\"");
     assert_eq!((result.status, result.err.contains("dam.1.ply: converted")), (0, false), "{}", result.err);
     for (keys, why) in [
-        ("radius_min = \"5x\"", "meniscus.toml:5: `radius_min`: `5x` is not a length"),
+        ("blend = \"5x\"", "meniscus.toml:5: `blend`: `5x` is not a length"),
         ("voxel_size = \"2h\"", "meniscus.toml:5: `voxel_size`: `2h` is not a voxel size"),
         ("spacing_ = 1", "meniscus.toml:5: unknown key `spacing_`"),
         ("decimate = \"0.1h\"", "meniscus.toml:5: `decimate`: `0.1h` is not a number from 0 to 1"),

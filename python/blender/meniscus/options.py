@@ -117,9 +117,9 @@ def values_of(group: bpy.types.PropertyGroup) -> dict[str, Any]:
 def coarse(values: dict[str, Any]) -> dict[str, Any]:
     """Options for a preview while a value is dragged: a coarse grid and few steps.
 
-    The radii and what else moves the surface stay, so that a drag of these values shows their effect.
+    What moves the surface stays, so that a drag of these values shows their effect.
     """
-    kept = {"where", "radius_min", "radius_ratio", "radius_scale", "offset", "clip", "drop_islands", "spacing"}
+    kept = {"where", "radius_scale", "offset", "clip", "drop_islands", "spacing"}
     return {"preset": "preview", **{name: value for name, value in values.items() if name in kept}}
 
 

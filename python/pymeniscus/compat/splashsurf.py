@@ -70,7 +70,7 @@ _IGNORED: dict[str, tuple[tuple[Any, ...], str]] = {
     "mesh_smoothing_iters": (
         (None, 0),
         "the level set is smoothed as far as its bounds allow, and not the mesh; for a smoother surface, give "
-        "`preset` or `radius_ratio` to pymeniscus.reconstruct",
+        "`preset`, `blend` or `laplacian_steps` to pymeniscus.reconstruct",
     ),
     "mesh_smoothing_weights": ((True,), "bounds keep small features, and not weights"),
     "mesh_smoothing_weights_normalization": ((13,), "bounds keep small features, and not weights"),

@@ -3,7 +3,7 @@
 //! Lines are at most 80 columns wide, so that a narrow terminal does not wrap them again.
 
 pub(super) const CHOOSING: &str = "\
-Choosing the spacing, the voxel size and the radii:
+Choosing the spacing, the voxel size and how far particles blend:
   The particle spacing d, twice the particle radius of the simulation, is the
   only number you may need: --spacing. Without it, d is measured on the first,
   middle and last frame of the sequence, printed, and the same for every frame.
@@ -16,29 +16,27 @@ Choosing the spacing, the voxel size and the radii:
   By default, lengths and the amount (pseudo-time) of smoothing scale with d.
   The voxel size h is 0.32d: half that size shows more detail of the same
   surface, and takes about four times the time and the memory. On a coarse grid
-  radii are raised to √3·h, the diagonal of a voxel, so that no particle falls
-  between the voxels.
+  particles are larger, so that none falls between the voxels.
 
-  The smoothed surface encloses a sphere of radius r_min around the (smoothed)
-  position of every particle, and each of its points is within r_max of some
-  particle. Particles in sheets and filaments are flattened instead
-  (--thin-radius). Particles without neighbours are smaller, and their surface
-  stays close to them (--lone-radius).
+  The surface encloses the (smoothed) position of every particle.
 
-  --radius-ratio  r_max / r_min: how far smoothing may move the surface. More is
-                  smoother, less follows the particles more closely.
-  --radius-init   where smoothing starts: about 0.9 spacings or more. The
-                  spheres of neighbouring particles must overlap, or the surface
-                  begins with holes that smoothing cannot close.
+  --blend         distance up to which particles blend with others. More is
+                  smoother and joins drops earlier; less follows the particles
+                  more closely.
+  --max-stretch   how far particles are flattened in sheets and filaments. More
+                  makes them thinner.
+  --laplacian-steps
+                  how much the surface is smoothed.
   --position-smoothing
                   how far particles are first moved towards the mean of their
                   neighbours. More makes the surface smoother and steadier; 0
                   keeps every original position inside the surface.
 
-  With --preset paper the radii follow h, as in the paper. If h is smaller than
-  half the spacing, neighbouring spheres would not overlap: also give the radii,
-  in spacings, for example
-  --voxel-size 0.25d --radius-min 0.866d --radius-init 1.3d.
+  With --preset paper the surface encloses a sphere of radius r_min around every
+  particle, each of its points is within r_max of some particle, and these radii
+  follow h, as in the paper. If h is smaller than half the spacing, neighbouring
+  spheres would not overlap: also give r_min, in spacings, for example
+  --voxel-size 0.25d --radius-min 0.866d.
 
 Exit status:
   0    every frame was converted, or was done already
@@ -64,8 +62,8 @@ When a frame is read:
   them, and `meniscus status FRAME --out DIR` what is recorded of one frame.
 
 Lengths:
-  `meniscus convert --help` explains LENGTH, d (particle spacing), h (voxel
-  size) and r_min.
+  `meniscus convert --help` explains LENGTH, d (particle spacing) and h (voxel
+  size).
 
 Signals:
   SIGTERM, SIGINT  finish the frames in flight within 30s, and exit; a second

@@ -360,7 +360,7 @@ pub(in crate::cli) struct VariedOption {
 }
 
 /// What `tune` varies by itself.
-const DEFAULT: [&str; 2] = ["position-smoothing=0,0.3,0.55,0.8", "radius-ratio=1.2,1.5,2,2.8"];
+const DEFAULT: [&str; 2] = ["position-smoothing=0,0.2,0.4,0.6", "laplacian-steps=1,4,15,40"];
 
 impl VariedOption {
     /// The name of the option's field.
@@ -389,7 +389,7 @@ impl FromStr for VariedOption {
 
     fn from_str(text: &str) -> Result<VariedOption, String> {
         let Some((name, values)) = text.split_once('=') else {
-            return Err("expected an option and its values, such as radius-ratio=1.5,2,3".to_owned());
+            return Err("expected an option and its values, such as blend=1.8d,2.1d,2.6d".to_owned());
         };
         let info = MethodOptions::ALL.iter().find(|info| flag(info) == name);
         let info = info.ok_or_else(|| format!("there is no option --{name} to vary"))?;
@@ -505,10 +505,10 @@ mod tests {
 
     #[test]
     fn option_is_varied_by_its_own_name() {
-        let varied: VariedOption = "radius-min=0.85d, 1d".parse().expect("lengths");
+        let varied: VariedOption = "blend=1.8d, 2d".parse().expect("lengths");
         let mut options = MethodOptions::default();
         varied.put(&varied.values[1], &mut options);
-        assert_eq!(options.to_pairs(), [("radius_min", "1d".to_owned())]);
+        assert_eq!(options.to_pairs(), [("blend", "2d".to_owned())]);
         for text in DEFAULT {
             assert_eq!(text.parse::<VariedOption>().map(|varied| varied.values.len()), Ok(4));
         }
@@ -517,8 +517,8 @@ mod tests {
     #[test]
     fn errors_name_the_option_and_the_expected_values() {
         for (text, expected) in [
-            ("", "such as radius-ratio=1.5,2,3"),
-            ("2,3", "such as radius-ratio=1.5,2,3"),
+            ("", "such as blend=1.8d,2.1d,2.6d"),
+            ("2,3", "such as blend=1.8d,2.1d,2.6d"),
             ("q=2", "there is no option --q to vary"),
             ("voxel_size=1", "there is no option --voxel_size to vary"),
             ("radius-ratio=", "radius-ratio: `` is not a number"),

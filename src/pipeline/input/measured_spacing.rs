@@ -1,6 +1,6 @@
 //! Estimates the particle spacing of a sequence if none is given, and how irregular it is.
 //!
-//! The spacing is twice the median radius if each particle's r_min follows from its own radius, or if the
+//! The spacing is twice the median radius if each particle's size follows from its own radius, or if the
 //! particles have a radius attribute that is consistent with their positions; otherwise it is an estimate
 //! from the positions. It is measured on the first, the middle and the last readable frame, and is the same
 //! for all frames, because a separate spacing for each frame would make the surface flicker. All frames of
@@ -50,7 +50,7 @@ pub struct MeasuredSpacing {
     /// How irregularly the particles are spaced: see [`SpacingEstimate::irregularity`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub irregularity: Option<f64>,
-    /// The median r_min of particles with per-particle radii, world units.
+    /// The median radius of particles with per-particle radii, world units.
     #[serde(with = "text::option", default, skip_serializing_if = "Option::is_none")]
     pub radius_median: Option<f64>,
     /// The first measured frame.

@@ -11,7 +11,7 @@ use serde::{Serialize, Serializer};
 use serde_json::{Value, json};
 
 use crate::surface::grid::LEAF_VOXELS;
-use crate::surface::options::{MethodOptions, Settings};
+use crate::surface::options::{MethodOptions, Settings, Start};
 use crate::surface::report::{EditReport, ReconstructionReport, ShapeStats, TemporalReport};
 
 use super::provenance::{chosen_options, level_set_pairs};
@@ -207,11 +207,16 @@ struct SettingsSource<'a> {
 /// The settings for particles. The main ones have keys of their own, with numbers or names as values. The
 /// others are in the object `more`, with text as values; those that change nothing are left out.
 fn settings_of_particles(settings: &Settings, outputs: &OutputOptions, obstacles: &ObstacleFiles) -> Object {
-    let mut named = Object::new([
-        ("voxel_size", json!(settings.voxel_size)),
-        ("radius_min", json!(settings.radius_min)),
-        ("radius_init", json!(settings.radius_init)),
-        ("radius_max", json!(settings.radius_max)),
+    let mut named = Object::new([("voxel_size", json!(settings.voxel_size))]);
+    match settings.start {
+        Start::Spheres => named.extend([
+            ("radius_min", json!(settings.radius_min)),
+            ("radius_init", json!(settings.radius_init)),
+            ("radius_max", json!(settings.radius_max)),
+        ]),
+        Start::Kernels => named.extend([("blend", json!(settings.radius_max))]),
+    }
+    named.extend([
         ("integrator", json!(settings.smoothing.integrator.name())),
         ("laplacian_steps", json!(settings.smoothing.laplacian_steps)),
         ("steps", json!(settings.smoothing.steps)),

@@ -6,6 +6,7 @@ use crate::pipeline::{
     FileStamp, Job, Reason, RecordLine, SequenceKey, SharedSettings, UnfinishedState, natural_order,
     order_by_number, single_frames_note,
 };
+use crate::surface::options::Start;
 
 use super::events::{Effect, Log, SlowRequest};
 use super::frames::{FrameId, FramePhase, FrameState};
@@ -191,14 +192,17 @@ impl Core {
         }
         let (settings, key) = (Arc::clone(settings), sequence.key.clone());
         Some(Log::new(move || {
+            let with_spheres = |length| (settings.start == Start::Spheres).then(|| six_digits(length));
+            let with_kernels = |length| (settings.start == Start::Kernels).then(|| six_digits(length));
             tracing::info!(
                 sequence = %key.folder.join(&key.name).display(),
                 preset = %settings.preset,
                 spacing = six_digits(settings.spacing),
                 voxel_size = six_digits(settings.voxel_size),
-                radius_min = six_digits(settings.radius_min),
-                radius_init = six_digits(settings.radius_init),
-                radius_max = six_digits(settings.radius_max),
+                radius_min = with_spheres(settings.radius_min),
+                radius_init = with_spheres(settings.radius_init),
+                radius_max = with_spheres(settings.radius_max),
+                blend = with_kernels(settings.radius_max),
                 "{headline}"
             );
             for warning in warnings {

@@ -24,10 +24,10 @@ mod neighborhoods;
 use glam::DVec3;
 use rayon::prelude::*;
 
-pub use neighborhoods::{NeighborConfig, NeighborShapes, Stretch, from_neighbors};
+pub use neighborhoods::{KernelConfig, NeighborConfig, NeighborShapes, Stretch, from_neighbors};
 
 use crate::parallel::Loops as _;
-use crate::particles::Ellipsoid;
+use crate::particles::{Ellipsoid, LONE_SCALE};
 use crate::simd::Lanes;
 use neighborhoods::MOMENT_COUNT;
 
@@ -186,7 +186,7 @@ fn stretched(velocity: DVec3, scale: f32, most: f64, config: &VelocityConfig) ->
         more * x * z,
         more * y * z,
     ];
-    (Ellipsoid { to_unit_ball, longest: along, init: 1.0, max: 1.0 }, is_raised)
+    (Ellipsoid { to_unit_ball, longest: along, weight: 1.0, room: 0.0 }, is_raised)
 }
 
 // Converts moments to ellipsoids, eight particles at a time.
@@ -233,6 +233,14 @@ const FLAT_NONE: f32 = 0.4;
 /// From this flatness of its neighbourhood on, a particle has the shape of its neighbourhood.
 const FLAT_FULL: f32 = 0.9;
 
+/// Between these weights of neighbours, the surface gets room to move inward: those of a drop of some dozens
+/// of particles, and of the plane surface of a body.
+const BODY_NONE: f32 = 12.0;
+const BODY_FULL: f32 = 24.0;
+
+/// From this flatness of its neighbourhood on, a particle is in a sheet, which must not get thinner.
+const FLAT_BODY: f32 = 0.5;
+
 /// Added to each eigenvalue, in units of the squared radius. So many particles at one point give a ball, and
 /// not a shape that rounding errors determine. Then no semi-axis is more than about 50 times as long as
 /// another.
@@ -255,6 +263,8 @@ struct Surroundings<V> {
     /// The eigenvalues of their covariance, positive, and the eigenvectors.
     eigen: Eigen<V>,
     flatness: V,
+    /// The sum of the neighbours' weights, which counts more the flatter the neighbourhood is.
+    weight: V,
     company: V,
 }
 
@@ -268,8 +278,10 @@ impl<V: Lanes> Surroundings<V> {
         let [a, b, c] = values.map(|value| value.max(V::splat(SPREAD_MIN)));
         let flatness = V::splat(1.0).sub(a.min(b).min(c).div(a.max(b).max(c)).sqrt());
         let weight = V::load(&moments[0]).sub(V::splat(ITSELF)).mul(V::load(weight_scales));
-        let company = company(weight, flatness);
-        Surroundings { mean, eigen: Eigen { values: [a, b, c], vectors }, flatness, company }
+        let gain = V::splat(1.0).add(V::splat(FLAT_GAIN).mul(flatness));
+        let weight = weight.mul(gain);
+        let company = smooth_step(weight, COMPANY_NONE, COMPANY_FULL);
+        Surroundings { mean, eigen: Eigen { values: [a, b, c], vectors }, flatness, weight, company }
     }
 
     /// x, y and z of the mean position of the neighbours times the company.
@@ -286,27 +298,30 @@ impl<V: Lanes> Surroundings<V> {
     #[inline(always)]
     fn shapes(&self, scales: &[f32; 8], limits: Stretch) -> Shapes8 {
         let Surroundings { eigen, flatness, company, .. } = self;
-        let part = company.mul(smooth_step(*flatness, FLAT_NONE, FLAT_FULL));
+        let lone = if limits.kernels.is_some() { LONE_SCALE } else { 1.0 };
+        let scale = V::load(scales).mul(between(lone, 1.0, *company));
+        let share = V::splat(if limits.max_stretch > 1.0 { 1.0 } else { 0.0 });
+        let part = company.mul(smooth_step(*flatness, FLAT_NONE, FLAT_FULL)).mul(share);
         let half_axes = blended(limited(eigen.values, limits.max_stretch), part);
         let is_round = V::not(V::splat(0.0).lt(part));
-        let (half_axes, is_raised) = scaled(half_axes, is_round, *company, V::load(scales), limits);
+        let (half_axes, is_raised) = scaled(half_axes, is_round, scale, limits.floor);
         let mut shapes = ellipsoids(half_axes, eigen.vectors, V::bits(is_round));
-        let mut row = [0.0; 8];
-        company.store(&mut row);
-        for (shape, company) in shapes.iter_mut().zip(row) {
-            [shape.init, shape.max] = limits.lone_shares.map(|lone| lone + company * (1.0 - lone));
+        if let Some(kernels) = limits.kernels {
+            let mut rooms = [0.0; 8];
+            self.room(kernels).store(&mut rooms);
+            shapes.iter_mut().zip(rooms).for_each(|(shape, room)| shape.room = room);
         }
         let balls = V::bits(V::not(V::splat(0.0).lt(*company)));
         Shapes8 { shapes, raised: V::bits(is_raised), balls }
     }
-}
 
-/// The company of eight particles, 0 to 1, from the sum of the weights of their neighbours within 2.6
-/// spacings, and the flatness of their neighbourhoods.
-#[inline(always)]
-fn company<V: Lanes>(weight: V, flatness: V) -> V {
-    let gain = V::splat(1.0).add(V::splat(FLAT_GAIN).mul(flatness));
-    smooth_step(weight.mul(gain), COMPANY_NONE, COMPANY_FULL)
+    /// How far the surface may move inward from its start, in voxels.
+    #[inline(always)]
+    fn room(&self, kernels: KernelConfig) -> V {
+        let body = smooth_step(self.weight, BODY_NONE, BODY_FULL);
+        let curved = V::splat(1.0).sub(smooth_step(self.flatness, FLAT_BODY, FLAT_FULL));
+        between(kernels.room_least, kernels.room_most, body.mul(curved))
+    }
 }
 
 /// Whether a particle with this sum of weights is in full company, however flat its neighbourhood is.
@@ -316,6 +331,12 @@ fn is_in_full_company(weight: f32, weight_scale: f32) -> bool {
 
 /// The weight of a particle at its own position.
 const ITSELF: f32 = 1.0;
+
+/// `least` where `part` is 0, `most` where it is 1.
+#[inline(always)]
+fn between<V: Lanes>(least: f32, most: f32, part: V) -> V {
+    V::splat(least).add(part.mul(V::splat(most - least)))
+}
 
 /// 0 up to `from`, 1 from `to` on, and 3u² − 2u³ between.
 #[inline(always)]
@@ -379,18 +400,10 @@ fn with_unit_volume<V: Lanes>(half_axes: [V; 3]) -> [V; 3] {
 }
 
 /// Multiplies semi-axes by the scale, and raises those below the floor. Also returns a mask of the particles
-/// with a raised semi-axis. The less company, the closer scale and floor are to those of isolated particles.
+/// with a raised semi-axis.
 #[inline(always)]
-fn scaled<V: Lanes>(
-    half_axes: [V; 3],
-    is_round: V::Mask,
-    company: V,
-    scale: V,
-    limits: Stretch,
-) -> ([V; 3], V::Mask) {
-    let between = |lone: f32, usual: f32| V::splat(lone).add(company.mul(V::splat(usual - lone)));
-    let floor = between(limits.lone_floor, limits.floor);
-    let scale = scale.mul(between(limits.lone, 1.0));
+fn scaled<V: Lanes>(half_axes: [V; 3], is_round: V::Mask, scale: V, floor: f32) -> ([V; 3], V::Mask) {
+    let floor = V::splat(floor);
     let [mut a, mut b, mut c] = half_axes;
     for half_axis in [&mut a, &mut b, &mut c] {
         // The semi-axes of a ball are exactly the scale, without rounding errors.
@@ -418,7 +431,7 @@ fn ellipsoids<V: Lanes>(half_axes: [V; 3], vectors: [[V; 3]; 3], balls: u8) -> [
     for (row, entry) in rows.iter_mut().zip(to_unit_ball) {
         entry.store(row);
     }
-    let mut shapes = [Ellipsoid { to_unit_ball: [0.0; 6], longest: 0.0, init: 1.0, max: 1.0 }; 8];
+    let mut shapes = [Ellipsoid { to_unit_ball: [0.0; 6], longest: 0.0, weight: 1.0, room: 0.0 }; 8];
     for (lane, shape) in shapes.iter_mut().enumerate() {
         shape.longest = longest[lane];
         for (entry, row) in shape.to_unit_ball.iter_mut().zip(&rows) {

@@ -29,7 +29,7 @@ use rayon::prelude::*;
 use super::{Surroundings, is_in_full_company, scale_of};
 use crate::neighbors::{NeighborPackets, Neighbors, Particle8};
 use crate::parallel::Loops as _;
-use crate::particles::{Ellipsoid, OwnedPositions};
+use crate::particles::{Ellipsoid, OwnedPositions, kernel};
 use crate::simd::{Kernel, Lanes, SimdLevel, dispatch_at};
 
 /// How neighbours shape particles.
@@ -52,14 +52,21 @@ pub struct NeighborConfig {
 pub struct Stretch {
     /// Upper limit of the ratio of two semi-axes, before they are raised to the floor: 1 or more.
     pub max_stretch: f32,
-    /// Lower limit of semi-axes of particles with many neighbours, in units of the settings' radii. Positive.
+    /// Lower limit of semi-axes, in units of the settings' radii. Positive.
     pub floor: f32,
-    /// The scale of particles without neighbours, which are balls, relative to the scale of other particles.
-    pub lone: f32,
-    /// Lower limit of the scale of particles without neighbours, in units of the settings' radii. Positive.
-    pub lone_floor: f32,
-    /// The own r_init and r_max of particles without neighbours, in units of those of the settings.
-    pub lone_shares: [f32; 2],
+    /// How particles become kernels; `None` if the surface starts from spheres.
+    pub kernels: Option<KernelConfig>,
+}
+
+/// How particles become kernels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KernelConfig {
+    /// The neighbour radius over the reach of the kernel of a particle of scale 1.
+    pub per_reach: f32,
+    /// How far the surface may move inward where fluid is thin, in voxels.
+    pub room_least: f32,
+    /// The same for a body.
+    pub room_most: f32,
 }
 
 /// The means and shapes of the wanted particles, computed from their neighbours.
@@ -175,46 +182,49 @@ impl Kernel for ParticleRun<'_> {
     #[inline(always)]
     fn run<V: Lanes>(mut self) -> ShapeCounts {
         let mut surroundings = NeighborPackets::default();
-        let mut within = Vec::new();
+        let mut within: [Vec<u32>; 8] = Default::default();
         let mut counts = ShapeCounts::default();
-        let mut waiting = [[0.0f32; 8]; MOMENT_COUNT];
-        let mut waiting_count = 0;
-        let [x, y, z] = self.neighbors.locals();
+        let mut first = 0;
         let mut cell_end = 0;
-        for (number, &slot) in self.slots.iter().enumerate() {
-            let slot = slot as usize;
-            if slot >= cell_end {
-                let cell = self.neighbors.cell_at(slot);
+        while let Some(&slot) = self.slots.get(first) {
+            if slot as usize >= cell_end {
+                let cell = self.neighbors.cell_at(slot as usize);
                 surroundings.gather(self.neighbors, self.neighbors.cells()[cell], CELL_MAX);
                 cell_end = self.neighbors.slots(cell).end;
             }
-            let at = Vec3::new(x[slot], y[slot], z[slot]);
-            let moments = self.moments_of::<V>(slot, surroundings.eights(), at, &mut within);
-            for (row, moment) in waiting.iter_mut().zip(moments) {
-                row[waiting_count % 8] = moment;
+            // Up to eight particles of a cell, because their kernels need the particles around once more.
+            let is_in_cell = |slot: &&u32| (**slot as usize) < cell_end;
+            let count = self.slots[first..].iter().take(8).take_while(is_in_cell).count();
+            let mut moments = [[0.0f32; 8]; MOMENT_COUNT];
+            let mut within_counts = [0; 8];
+            for (lane, within) in within.iter_mut().enumerate().take(count) {
+                let slot = self.slots[first + lane] as usize;
+                let of_slot;
+                (of_slot, within_counts[lane]) = self.moments_of::<V>(slot, surroundings.eights(), within);
+                moments.iter_mut().zip(of_slot).for_each(|(row, moment)| row[lane] = moment);
             }
-            waiting_count += 1;
-            if waiting_count == 8 || number + 1 == self.slots.len() {
-                let first = number + 1 - waiting_count;
-                counts = counts.merge(self.finish::<V>(&waiting, first, waiting_count));
-                waiting_count = 0;
+            counts = counts.merge(self.finish::<V>(&moments, first, count));
+            for (lane, (within, count)) in within.iter().zip(within_counts).enumerate().take(count) {
+                self.weigh::<V>(first + lane, surroundings.eights(), &within[..count]);
             }
+            first += count;
         }
         counts
     }
 }
 
 impl ParticleRun<'_> {
-    /// The moments of the particle in this slot, at `at`. If only means are needed and the particle is in full
-    /// company, its mean is all that follows from them: then the second moments are 0.
+    /// The moments of the particle in this slot, and the number of particles `within` its radius. If only means are needed
+    /// and the particle is in full company, its mean is all that follows from them: then the second moments
+    /// are 0.
     #[inline(always)]
     fn moments_of<V: Lanes>(
         &self,
         slot: usize,
         eights: &[Particle8],
-        at: Vec3,
         within: &mut Vec<u32>,
-    ) -> [f32; MOMENT_COUNT] {
+    ) -> ([f32; MOMENT_COUNT], usize) {
+        let at = self.position(slot);
         let count = find_within::<V>(eights, at, within);
         let within = &within[..count];
         if self.config.stretch.is_none() {
@@ -222,10 +232,42 @@ impl ParticleRun<'_> {
             if is_in_full_company(sums[0], self.weight_scale(slot)) {
                 let mut moments = [0.0; MOMENT_COUNT];
                 moments[..FIRST_MOMENT_COUNT].copy_from_slice(&sums);
-                return moments;
+                return (moments, count);
             }
         }
-        moments::<V, MOMENT_COUNT>(eights, at, within)
+        (moments::<V, MOMENT_COUNT>(eights, at, within), count)
+    }
+
+    /// Gives a particle the weight of its kernel: one over the sum at its centre of the kernels of the particles
+    /// `within`, as if they had its shape, but their own sizes.
+    #[inline(always)]
+    fn weigh<V: Lanes>(&mut self, number: usize, eights: &[Particle8], within: &[u32]) {
+        let Some(KernelConfig { per_reach, .. }) = self.config.stretch.and_then(|stretch| stretch.kernels)
+        else {
+            return;
+        };
+        let slot = self.slots[number] as usize;
+        let (at, own) = (self.position(slot), self.scale(slot));
+        let shape = self.shapes[number].to_unit_ball.map(|entry| entry * per_reach);
+        let mut sum = V::splat(0.0);
+        for indices in within.chunks(8) {
+            let mut particles = ParticlePacket::NONE;
+            particles.take(eights, indices);
+            let mut sizes = [1.0f32; 8];
+            if self.scales.is_some() {
+                for (size, &index) in sizes.iter_mut().zip(indices) {
+                    let particle = eights[index as usize / 8].indices[index as usize % 8];
+                    *size = own / scale_of(self.scales, particle as usize);
+                }
+            }
+            sum = sum.add(kernels_of(&particles, at, shape, &sizes));
+        }
+        self.shapes[number].weight = 1.0 / total(sum).max(1.0);
+    }
+
+    fn position(&self, slot: usize) -> Vec3 {
+        let [x, y, z] = self.neighbors.locals();
+        Vec3::new(x[slot], y[slot], z[slot])
     }
 
     /// Factor from the sum of weights of the particle in this slot to the one that its company is computed
@@ -380,6 +422,19 @@ fn add_moments<V: Lanes, const COUNT: usize>(sums: &mut [V; COUNT], particles: &
     for (sum, term) in sums.iter_mut().zip(terms) {
         *sum = sum.add(term);
     }
+}
+
+/// The kernels of particles at `at`, each with this shape, in units of its reach, over its size.
+#[inline(always)]
+fn kernels_of<V: Lanes>(particles: &ParticlePacket, at: Vec3, shape: [f32; 6], sizes: &[f32; 8]) -> V {
+    let [x, y, z] = [0, 1, 2].map(|axis| V::load(&particles.along[axis]).sub(V::splat(at[axis])));
+    let [xx, yy, zz, xy, xz, yz] = shape.map(V::splat);
+    let tx = xx.mul(x).add(xy.mul(y)).add(xz.mul(z));
+    let ty = xy.mul(x).add(yy.mul(y)).add(yz.mul(z));
+    let tz = xz.mul(x).add(yz.mul(y)).add(zz.mul(z));
+    let q_squared = tx.mul(tx).add(ty.mul(ty)).add(tz.mul(tz));
+    let size = V::load(sizes);
+    kernel(V::splat(1.0).sub(q_squared.mul(size.mul(size)))).mul(V::load(&particles.multiplicity))
 }
 
 #[inline(always)]

@@ -56,7 +56,7 @@ const CHUNK: usize = 4096;
 const VERTEX_CHUNK: usize = 1024;
 
 /// The two ends of an edge, in ascending order.
-type Edge = [u32; 2];
+type MeshEdge = [u32; 2];
 
 /// Splits the triangles of a mesh of φ where the surface is strongly curved.
 pub fn refine(mesh: &mut Mesh, band: &NarrowBand, lattice: &Lattice) {
@@ -94,7 +94,7 @@ impl Refinement<'_> {
     }
 
     /// The edges to split. Each is in one triangle from its lower to its higher vertex.
-    fn bent_edges(&self, triangles: &[[u32; 3]]) -> Vec<Edge> {
+    fn bent_edges(&self, triangles: &[[u32; 3]]) -> Vec<MeshEdge> {
         let of_chunk = |triangles: &[[u32; 3]]| {
             let mut bent = Vec::new();
             for &[a, b, c] in triangles {
@@ -106,12 +106,12 @@ impl Refinement<'_> {
             }
             bent
         };
-        let chunks: Vec<Vec<Edge>> = triangles.par_chunks(CHUNK).halved().map(of_chunk).collect();
+        let chunks: Vec<Vec<MeshEdge>> = triangles.par_chunks(CHUNK).halved().map(of_chunk).collect();
         chunks.concat()
     }
 
     #[inline(always)]
-    fn is_bent(&self, [from, to]: Edge) -> bool {
+    fn is_bent(&self, [from, to]: MeshEdge) -> bool {
         let [from, to] = [from as usize, to as usize];
         if to < self.first_new {
             return false;
@@ -134,7 +134,7 @@ impl Refinement<'_> {
     }
 
     /// Adds a vertex near the middle of each of these edges, and returns it for each [`key`].
-    fn add_middles(&mut self, edges: &[Edge]) -> FxHashMap<u64, u32> {
+    fn add_middles(&mut self, edges: &[MeshEdge]) -> FxHashMap<u64, u32> {
         self.first_new = self.mesh.positions.len();
         assert!(self.first_new + edges.len() <= u32::MAX as usize, "more vertices than 32-bit indices allow");
         let moved = self.on_zero(edges, |&edge| self.curved_middle(edge));
@@ -147,7 +147,7 @@ impl Refinement<'_> {
     /// The middle of the cubic curve between the ends of an edge that is perpendicular to their normals, and how far
     /// it may be moved.
     #[inline(always)]
-    fn curved_middle(&self, edge: Edge) -> (DVec3, f32) {
+    fn curved_middle(&self, edge: MeshEdge) -> (DVec3, f32) {
         let [one, other] = edge.map(|end| self.index(end));
         let [normal, other_normal] = edge.map(|end| self.mesh.normals[end as usize]);
         let chord = (other - one).as_vec3();
@@ -176,7 +176,7 @@ impl Refinement<'_> {
 }
 
 /// The key of an edge.
-fn key([from, to]: Edge) -> u64 {
+fn key([from, to]: MeshEdge) -> u64 {
     u64::from(from) << 32 | u64::from(to)
 }
 

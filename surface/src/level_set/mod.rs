@@ -21,7 +21,7 @@ use rustc_hash::FxHashMap;
 pub use rebuilt::{
     REBUILT_HALF_WIDTH, RebuildReason, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt,
 };
-pub use redistance::{Sweeps, UNREACHED, extend, extend_in, redistance, redistance_in};
+pub use redistance::{Sweeps, UNREACHED, extend, extend_in, redistance, redistance_field, redistance_in};
 pub use sample::Sampler;
 
 use crate::grid::{

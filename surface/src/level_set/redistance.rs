@@ -99,12 +99,22 @@ pub fn redistance(band: &mut NarrowBand, sweeps: Sweeps) {
 /// Like [`redistance`], with memory from the caller: `scratch` is a field of the band's topology with
 /// arbitrary content.
 pub fn redistance_in(band: &mut NarrowBand, sweeps: Sweeps, scratch: &mut Field) {
-    let pinned = pin(band, scratch);
-    std::mem::swap(&mut band.phi, scratch);
-    scratch.copy_from(&band.phi);
-    sweep_outward(&band.topology, [&mut band.phi, scratch], &pinned, sweeps.clamped(band.half_width));
-    let half_width = band.half_width;
-    band.phi.leaves.par_iter_mut().halved().for_each(|phi| {
+    redistance_field(&band.topology, &mut band.phi, band.half_width, sweeps, scratch);
+}
+
+/// Like [`redistance_in`], for a field that is not yet a band.
+pub fn redistance_field(
+    topology: &Topology,
+    phi: &mut Field,
+    half_width: f32,
+    sweeps: Sweeps,
+    scratch: &mut Field,
+) {
+    let pinned = pin(topology, phi, scratch);
+    std::mem::swap(phi, scratch);
+    scratch.copy_from(phi);
+    sweep_outward(topology, [phi, scratch], &pinned, sweeps.clamped(half_width));
+    phi.leaves.par_iter_mut().halved().for_each(|phi| {
         for phi in &mut phi.values {
             *phi = phi.clamp(-half_width, half_width);
         }
@@ -169,12 +179,12 @@ fn sweep_with(
 
 /// Writes signed distances to `distance` for the voxels next to the zero set, and ± [`UNREACHED`] for the
 /// others. Returns masks of the voxels next to the zero set.
-fn pin(band: &NarrowBand, distance: &mut Field) -> Vec<LeafMask> {
-    let neighbors = band.topology.neighbors();
-    let mut pinned = vec![LeafMask::EMPTY; band.topology.len()];
+fn pin(topology: &Topology, phi: &Field, distance: &mut Field) -> Vec<LeafMask> {
+    let neighbors = topology.neighbors();
+    let mut pinned = vec![LeafMask::EMPTY; topology.len()];
     let leaves = distance.leaves.par_iter_mut().zip(&mut pinned).enumerate();
     leaves.with_max_len(LEAVES_PER_TASK).halved().for_each(|(leaf, (distance, pinned))| {
-        let around = Neighborhood::new(&band.phi.leaves, neighbors, leaf);
+        let around = Neighborhood::new(&phi.leaves, neighbors, leaf);
         simd::dispatch_wide(Pin { around: &around, distance, pinned });
     });
     pinned

@@ -16,7 +16,7 @@ use super::fields::{self, OptionGroup, OptionInfo, OptionValue, ValueKind, metho
 use super::presets::{Preset, Recipe};
 use super::resolution::Pairs;
 use super::values::{AnisotropyKind, AttributeSelection, ClipBox, ColumnNames, Length, LengthUnit};
-use super::{OptionName, PerParticleRadius, ReadOptions, SettingsError, SpacingOptions, positive};
+use super::{OptionName, PerParticleRadius, ReadOptions, SettingsError, SpacingOptions, Start, positive};
 use crate::contour::Contouring;
 use crate::particles::ParticleFilter;
 use crate::smooth::Integrator;
@@ -92,21 +92,19 @@ method_options! {
             voxel_size: Length,
         }
         Surface {
-            /// Radius r_min of the sphere around each particle, positive; the surface encloses the spheres
-            /// around smoothed positions, but particles in sheets and filaments get a flattened ellipsoid instead (--anisotropy)
-            /// [default: 0.68d, but no less than √3·h]
+            /// Distance up to which particles blend with others, 3.6h to 64h: larger is smoother and joins drops
+            /// earlier; with all presets but paper [default: 2d, but no less than 3.6h]
             #[value(named("LENGTH"))]
-            radius_min: Length,
+            blend: Length => [OptionName::with_value("preset", "fluid")], |options, _| options.start() == Start::Kernels,
+
+            /// Radius r_min of the spheres that the surface encloses, positive, for --preset paper [default: √3·h]
+            #[value(named("LENGTH"))]
+            radius_min: Length => [OptionName::with_value("preset", "paper")], |options, _| options.start() == Start::Spheres,
 
             /// Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle,
-            /// and r_max is at most 64h [default: 2.8]
+            /// and r_max is at most 64h; for --preset paper [default: 2]
             #[value(named("RATIO"))]
-            radius_ratio: f64,
-
-            /// Radius of the spheres that smoothing starts from, r_min to r_max [default: 1.5 r_min, or
-            /// less if r_min is raised for coarse voxels]
-            #[value(named("LENGTH"))]
-            radius_init: Length,
+            radius_ratio: f64 => [OptionName::with_value("preset", "paper")], |options, _| options.start() == Start::Spheres,
 
             /// Move the finished surface outward by this distance, -r_min to 2h; negative moves it inward
             /// [default: 0]
@@ -138,31 +136,20 @@ method_options! {
             #[value(named("BY"))]
             anisotropy: AnisotropyKind,
 
-            /// Maximum ratio of a particle's longest semi-axis to its shortest, 1 to 8 [default: 4]
+            /// Maximum ratio of a particle's longest semi-axis to its shortest, 1 to 8 [default: 2]
             #[value(named("RATIO"))]
             max_stretch: f64 in 1.0..=MAX_STRETCH_MAX
                 => [OptionName::with_value("anisotropy", "neighbors"), OptionName::with_value("anisotropy", "velocity")],
                 |options, _| options.anisotropy_kind() != AnisotropyKind::None,
 
-            /// Smallest semi-axis of flattened particles, 0.9h to r_min, for --anisotropy neighbors; smaller
-            /// makes thinner sheets [default: 0.36d]
-            #[value(named("LENGTH"))]
-            thin_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
-
-            /// r_min of particles without neighbours (drops), positive and at most --radius-min; for
-            /// --anisotropy neighbors [default: 0.63d]
-            #[value(named("LENGTH"))]
-            lone_radius: Length => [OptionName::with_value("anisotropy", "neighbors")], stretches_by_neighbors,
-
-            /// Search radius for neighbours, positive and at most 200h, for --anisotropy neighbors and
-            /// --position-smoothing [default: 2.8d]
+            /// Search radius for neighbours, positive and at most 200h [default: 2.8d]
             #[value(named("LENGTH"))]
             neighbor_radius: Length
                 => [OptionName::with_value("anisotropy", "neighbors"), OptionName::new("position_smoothing")],
                 |options, _| options.uses_neighbors(),
 
             /// Move particles near the surface toward the mean of their neighbours by this fraction of the
-            /// distance, 0 to 1 [default: 0.55]
+            /// distance, 0 to 1 [default: 0.4]
             #[value(named("FRACTION"))]
             position_smoothing: f64 in 0.0..=1.0,
 
@@ -279,7 +266,7 @@ method_options! {
             integrator: Integrator,
 
             /// Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0,
-            /// distances are recomputed in their place [default: 3 (d/h)², 29 on the default grid]
+            /// distances are recomputed in their place [default: 1.6 (d/h)², 16 on the default grid]
             #[value(named("N"))]
             laplacian_steps: u32 in 0..=STEPS_MAX,
 
@@ -369,7 +356,14 @@ impl MethodOptions {
 
     /// Whether a particle's position or shape depends on its neighbours.
     pub fn uses_neighbors(&self) -> bool {
-        self.position_smoothing() > 0.0 || self.anisotropy_kind() == AnisotropyKind::Neighbors
+        self.start() == Start::Kernels
+            || self.position_smoothing() > 0.0
+            || self.anisotropy_kind() == AnisotropyKind::Neighbors
+    }
+
+    /// What smoothing starts from.
+    pub(super) fn start(&self) -> Start {
+        if self.recipe().blend.is_some() { Start::Kernels } else { Start::Spheres }
     }
 
     /// How particles are stretched.
@@ -416,10 +410,6 @@ fn uses_velocities(options: &MethodOptions, _: bool) -> bool {
     has_attributes || options.anisotropy_kind() == AnisotropyKind::Velocity
 }
 
-fn stretches_by_neighbors(options: &MethodOptions, _: bool) -> bool {
-    options.anisotropy_kind() == AnisotropyKind::Neighbors
-}
-
 fn out_of_range<T: Display + LowerExp>(name: &str, value: T, range: &RangeInclusive<T>) -> SettingsError {
     SettingsError::of_value(format!("{name} is {value}; it must be from {}", fields::range_text(range)))
 }
@@ -447,7 +437,7 @@ mod tests {
             voxel_size: Some((1.0 / 7.0).into()),
             radius_min: Some((1.0 / 3.0).into()),
             radius_ratio: Some(1.5),
-            radius_init: Some((f64::MIN_POSITIVE / 3.0).into()),
+            blend: Some((f64::MIN_POSITIVE / 3.0).into()),
             offset: Some((-1.0 / 7.0).into()),
             columns: Some("x=c x,id=1".parse().expect("columns")),
             r#where: Some("phase in 1,2 or 'p é' != \"x, y\"".parse().expect("a condition")),
@@ -455,8 +445,6 @@ mod tests {
             radius_scale: Some(0.1_f64.next_up()),
             anisotropy: Some(AnisotropyKind::Velocity),
             max_stretch: Some(1e300),
-            thin_radius: Some(0.1.into()),
-            lone_radius: Some("0.15d".parse().expect("a length")),
             neighbor_radius: Some("-5h".parse().expect("a length")),
             position_smoothing: Some(0.9),
             velocity_gain: Some(1.0 / 48.0),

@@ -13,6 +13,7 @@ mod values;
 use std::fmt;
 
 pub use crate::contour::Contouring;
+pub use crate::rasterize::Start;
 pub use crate::smooth::Integrator;
 pub use definition::MethodOptions;
 pub use fields::{
@@ -31,8 +32,8 @@ use crate::spray::frames_needed;
 use crate::words::significant;
 use presets::{Scale, Unit};
 use resolution::{
-    anisotropy, cavities, check_offset, checked_box, default_step_size, default_steps, initial_radius,
-    is_explicit, laplacian_steps, neighbor_radius, offset, radii,
+    RADIUS_RATIO, anisotropy, cavities, check_offset, checked_box, default_step_size, default_steps,
+    is_explicit, kernel_radii, laplacian_steps, neighbor_radius, offset, radii, unit_radius,
 };
 
 /// All settings of a sequence, checked.
@@ -46,6 +47,8 @@ pub struct Settings {
     pub spacing: f64,
     /// Edge length h of a voxel, world units.
     pub voxel_size: f64,
+    /// What smoothing starts from: spheres with the preset `paper`, kernels with all others.
+    pub start: Start,
     /// r_min, world units.
     pub radius_min: f64,
     /// r_init, world units.
@@ -155,10 +158,6 @@ pub enum Anisotropy {
     Neighbors {
         /// Upper limit of the longest semi-axis, in units of the shortest.
         max_stretch: f64,
-        /// Lower limit of the semi-axes of the inner ellipsoids, world units.
-        thin_radius: f64,
-        /// r_min of a particle without neighbours, world units; at most `radius_min`.
-        lone_radius: f64,
     },
     /// By the velocity.
     Velocity {
@@ -182,6 +181,9 @@ const VOXEL_SIZE_MAX: f64 = 1e30;
 /// The largest radius in voxels. Beyond it, the bins within reach of a particle would cover most of the
 /// frame.
 pub const RADIUS_MAX_VOXELS: f64 = 64.0;
+
+/// How far the surface of a body may move from a start of kernels, in spacings.
+const ROOM: f64 = 0.45;
 
 /// Default of the width below which gaps between the surface and obstacles are filled, in units of h.
 const VOID_THRESHOLD: f64 = 1.0;
@@ -317,8 +319,12 @@ impl Settings {
             let voxel_size = named("voxel size", options.voxel_size);
             format!("the {voxel_size} is {h:e}; it must be from {VOXEL_SIZE_MIN:e} to {VOXEL_SIZE_MAX:e}")
         })?;
-        let radius_ratio = options.radius_ratio.unwrap_or(recipe.radius_ratio);
-        let [radius_min, radius_init, radius_max] = radii(&scale, radius_ratio, options)?;
+        let radius_ratio = options.radius_ratio.unwrap_or(RADIUS_RATIO);
+        let start = options.start();
+        let [radius_min, radius_init, radius_max] = match start {
+            Start::Spheres => radii(&scale, radius_ratio, options)?,
+            Start::Kernels => kernel_radii(&scale, options)?,
+        };
         let integrator = options.integrator.unwrap_or_default();
         let voxels = scale.voxels(recipe.unit);
         let explicit = is_explicit(integrator);
@@ -328,14 +334,15 @@ impl Settings {
             preset: options.preset.unwrap_or_default(),
             spacing,
             voxel_size: h,
+            start,
             radius_min,
             radius_init,
             radius_max,
-            offset: offset(options, radius_min, &scale)?,
+            offset: offset(options, unit_radius([radius_min, radius_max], start), &scale)?,
             radius_ratio,
             reading: options.read_options(),
             per_particle_radius: options.per_particle_radius()?,
-            anisotropy: anisotropy(options, radius_min, &scale)?,
+            anisotropy: anisotropy(options)?,
             position_smoothing: options.position_smoothing(),
             neighbor_radius,
             void_threshold: options.void_threshold.unwrap_or(VOID_THRESHOLD),
@@ -464,24 +471,38 @@ impl Settings {
         }
     }
 
-    /// Whether particles differ in size or shape.
+    /// The radius of the surface of a lone particle of scale 1, in world units: r_min with spheres.
+    pub fn unit_radius(&self) -> f64 {
+        unit_radius([self.radius_min, self.radius_max], self.start)
+    }
+
+    /// How far the surface of a body may move from a start of kernels, world units.
+    pub(crate) fn room(&self) -> f64 {
+        ROOM * self.spacing
+    }
+
+    /// Whether particles differ in size, shape or weight.
     pub fn has_per_particle_shapes(&self) -> bool {
-        self.per_particle_radius.is_some() || self.anisotropy != Anisotropy::None
+        self.start == Start::Kernels
+            || self.per_particle_radius.is_some()
+            || self.anisotropy != Anisotropy::None
     }
 
     /// Approximate distance from the outermost particles of a fluid at rest to its surface, world units. With
     /// anisotropy by neighbours, the surface lies where the fluid ends, half a spacing away. Otherwise it lies
     /// at r_min or beyond. Pictures put the ground at this height.
     pub fn resting_height(&self) -> f64 {
-        match self.anisotropy {
-            Anisotropy::Neighbors { .. } => self.radius_min.min(0.5 * self.spacing),
-            Anisotropy::None | Anisotropy::Velocity { .. } => self.radius_min,
+        match self.start {
+            Start::Kernels => 0.5 * self.spacing,
+            Start::Spheres => self.radius_min,
         }
     }
 
     /// Whether a particle's position or shape depends on its neighbours.
     pub fn uses_neighbors(&self) -> bool {
-        self.position_smoothing > 0.0 || matches!(self.anisotropy, Anisotropy::Neighbors { .. })
+        self.start == Start::Kernels
+            || self.position_smoothing > 0.0
+            || matches!(self.anisotropy, Anisotropy::Neighbors { .. })
     }
 
     /// Checks options before the particle spacing is known: whether they are valid for some spacing.
@@ -506,38 +527,34 @@ impl Settings {
             Unit::Spacing => 1.0,
             Unit::VoxelSize => recipe.voxel_size,
         };
-        let ratio = options.radius_ratio.filter(|ratio| *ratio >= 1.0).unwrap_or(recipe.radius_ratio);
-        let init = initial_radius(&recipe, 1.0, ratio);
-        let [voxel_size, radius_min, radius_init] =
-            [options.voxel_size, options.radius_min, options.radius_init]
-                .map(|it| it.and_then(Length::world));
-        let spacing = match (voxel_size, radius_min, radius_init) {
+        let [voxel_size, radius_min, blend] =
+            [options.voxel_size, options.radius_min, options.blend].map(|it| it.and_then(Length::world));
+        let spacing = match (voxel_size, radius_min, blend) {
             (Some(voxel_size), ..) => voxel_size / recipe.voxel_size,
-            (None, Some(radius), _) => radius / (recipe.radius_min * unit),
-            (None, None, Some(radius)) => radius / (recipe.radius_min * init * unit),
+            (None, Some(radius), _) => radius / (3f64.sqrt() * unit),
+            (None, None, Some(blend)) => blend / (recipe.blend.unwrap_or(1.0) * unit),
             (None, None, None) => 1.0,
         };
         let spacing = Some(spacing).filter(sound).unwrap_or(1.0);
         // An inward offset can be compared with a given r_min. Any other offset fits some spacing.
         let inward = options.offset.and_then(Length::world).filter(|offset| offset.is_finite());
-        if let (Some(radius_min), Some(offset)) = (radius_min.filter(sound), inward) {
+        let of_spheres = radius_min.filter(|_| options.start() == Start::Spheres).filter(sound);
+        if let (Some(radius_min), Some(offset)) = (of_spheres, inward) {
             require(-offset <= (1.0 + 1e-9) * radius_min, || {
                 format!("the offset is {offset}; it must be at least -r_min = {}", significant(-radius_min))
             })?;
         }
         // Lengths in spacings and in voxels can be compared with each other, but not with lengths in world
         // units.
-        let has_world = [voxel_size, radius_min, radius_init].iter().any(Option::is_some);
+        let has_world = [voxel_size, radius_min, blend].iter().any(Option::is_some);
         let kept = |given: Option<Length>, is_kept: &dyn Fn(f64) -> bool| {
             given.filter(|length| length.world().map_or(!has_world, is_kept))
         };
         let is_unsound = |radius: f64| !sound(&radius);
         let options = MethodOptions {
             radius_min: kept(options.radius_min, &|_| true),
-            radius_init: kept(options.radius_init, &|_| true),
+            blend: kept(options.blend, &|_| true),
             offset: kept(options.offset, &|offset| !offset.is_finite()),
-            thin_radius: kept(options.thin_radius, &is_unsound),
-            lone_radius: kept(options.lone_radius, &is_unsound),
             // A neighbour radius can be compared with a given voxel size; without one, it fits some spacing.
             neighbor_radius: kept(options.neighbor_radius, &|radius| {
                 is_unsound(radius) || voxel_size.is_some()
@@ -569,7 +586,7 @@ impl Settings {
             let at_least = if least { "at least " } else { "" };
             warnings.push(format!("{at_least}{steps:.0} steps for each frame will take long"));
         }
-        if self.radius_min < 0.999 * 3f64.sqrt() * self.voxel_size {
+        if self.start == Start::Spheres && self.radius_min < 0.999 * 3f64.sqrt() * self.voxel_size {
             warnings.push(format!(
                 "r_min is {:.3} voxels: below √3, particles may fall between voxels and end up outside the surface",
                 self.radius_min / self.voxel_size

@@ -39,15 +39,6 @@ pub(super) enum Unit {
     VoxelSize,
 }
 
-/// r_init, where smoothing starts.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum InitialRadius {
-    /// Half way between r_min and r_max (paper, Eq. 2).
-    Middle,
-    /// This many times r_min, limited to r_max.
-    Times(f64),
-}
-
 /// The default values of a preset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Recipe {
@@ -55,18 +46,11 @@ pub(super) struct Recipe {
     pub(super) unit: Unit,
     /// Default voxel size, in particle spacings.
     pub(super) voxel_size: f64,
-    /// r_min, in units.
-    pub(super) radius_min: f64,
-    /// r_max / r_min.
-    pub(super) radius_ratio: f64,
-    /// r_init.
-    pub(super) radius_init: InitialRadius,
+    /// Distance up to which particles blend, the reach of their kernels, in units; `None` to start from
+    /// spheres.
+    pub(super) blend: Option<f64>,
     /// How particles are stretched.
     pub(super) anisotropy: AnisotropyKind,
-    /// Smallest semi-axis of flattened particles, in units; `None` for √3 h.
-    pub(super) thin_radius: Option<f64>,
-    /// r_min of particles without neighbours, in units; `None` for r_min.
-    pub(super) lone_radius: Option<f64>,
     /// Search radius for neighbours, in units; `None` for 3 r_min.
     pub(super) neighbor_radius: Option<f64>,
     /// How far particles are moved toward the mean of their neighbours, 0 to 1.
@@ -86,18 +70,13 @@ pub(super) struct Recipe {
     pub(super) refine: bool,
 }
 
-/// The paper's numbers: r_min = √3 h (Eq. 13), five implicit steps of 20 h⁴ or 500 explicit ones of 0.01 h⁴
+/// The paper's numbers: five implicit steps of 20 h⁴ or 500 explicit ones of 0.01 h⁴
 /// (Eq. 14, 15).
 const PAPER: Recipe = Recipe {
     unit: Unit::VoxelSize,
     voxel_size: 0.5,
-    // √3; `sqrt` is not a constant expression.
-    radius_min: 1.732_050_807_568_877_2,
-    radius_ratio: 2.0,
-    radius_init: InitialRadius::Middle,
+    blend: None,
     anisotropy: AnisotropyKind::None,
-    thin_radius: None,
-    lone_radius: None,
     neighbor_radius: None,
     position_smoothing: 0.0,
     fill_cavities: 0.0,
@@ -112,16 +91,12 @@ const PAPER: Recipe = Recipe {
 const FLUID: Recipe = Recipe {
     unit: Unit::Spacing,
     voxel_size: 0.32,
-    radius_min: 0.68,
-    radius_ratio: 2.8,
-    radius_init: InitialRadius::Times(1.5),
+    blend: Some(2.0),
     anisotropy: AnisotropyKind::Neighbors,
-    thin_radius: Some(0.36),
-    lone_radius: Some(0.63),
     neighbor_radius: Some(2.8),
-    position_smoothing: 0.55,
+    position_smoothing: 0.4,
     fill_cavities: 25.0,
-    laplacian_steps: 3.0,
+    laplacian_steps: 1.6,
     steps: 1,
     step_size: 0.01,
     explicit_time: 0.01,
@@ -155,34 +130,26 @@ impl Preset {
         match self {
             Preset::Fluid => FLUID,
             Preset::Noisy => Recipe {
-                radius_min: 0.8,
-                radius_ratio: 2.6,
+                blend: Some(2.8),
                 neighbor_radius: Some(3.0),
-                position_smoothing: 0.7,
-                laplacian_steps: 4.0,
+                position_smoothing: 0.5,
+                laplacian_steps: 2.0,
                 ..FLUID
             },
-            Preset::Splash => Recipe { voxel_size: 0.25, thin_radius: Some(0.3), ..FLUID },
+            Preset::Splash => Recipe { voxel_size: 0.25, ..FLUID },
             Preset::Granular => Recipe {
                 voxel_size: 0.4,
-                radius_min: 0.75,
-                radius_ratio: 2.0,
-                radius_init: InitialRadius::Times(1.2),
                 anisotropy: AnisotropyKind::None,
                 neighbor_radius: Some(2.6),
                 position_smoothing: 0.4,
-                laplacian_steps: 1.6,
                 step_size: 0.125,
                 explicit_time: 0.125,
                 ..FLUID
             },
             Preset::Preview => Recipe {
                 voxel_size: 1.0,
-                radius_ratio: 2.0,
-                radius_init: InitialRadius::Times(1.2),
                 anisotropy: AnisotropyKind::None,
                 position_smoothing: 0.0,
-                laplacian_steps: 1.6,
                 step_size: 0.125,
                 explicit_time: 0.125,
                 ..FLUID

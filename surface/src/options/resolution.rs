@@ -1,33 +1,33 @@
 //! Defaults and checks of settings that depend on the preset, the voxel size or each other.
 
 use super::definition::{CAVITY_VOXELS_MAX, STEP_SIZE_MAX, STEP_SIZE_MIN, STEPS_MAX};
-use super::presets::{InitialRadius, Recipe, Scale, Unit};
+use super::presets::{Recipe, Scale};
 use super::{
     Anisotropy, AnisotropyKind, ClipBox, Integrator, Length, MethodOptions, RADIUS_MAX_VOXELS, Settings,
-    SettingsError, named, positive, positive_length, require, stated,
+    SettingsError, Start, named, positive, positive_length, require, stated,
 };
+use crate::particles::LONE_RADIUS;
 use crate::words::{rounded_to_digits, significant};
 
 /// The smallest r_min in voxels. Semi-axes are in units of r_min, and the voxel size in this unit must fit
 /// into a 32-bit number.
 const RADIUS_MIN_VOXELS: f64 = 1e-6;
 
-/// The smallest default of r_init, in units of an r_min that was raised for coarse voxels.
-const ROOM_TO_SMOOTH: f64 = 1.1;
+/// The paper's r_max / r_min.
+pub(super) const RADIUS_RATIO: f64 = 2.0;
+
+/// r_init, in units of the reach of kernels. Particles up to twice as far apart count as one piece of fluid: a
+/// little farther than where their surfaces join.
+const LINKED: f64 = 0.51;
 
 /// Upper limit of the offset, in units of h.
 const OFFSET_MAX: f64 = 2.0;
 
-/// Default limit of stretching, as in Yu and Turk.
+/// Default limit of stretching: as in Yu and Turk.
 const MAX_STRETCH: f64 = 4.0;
 
-/// The smallest semi-axis of a flattened particle, in units of h. The two sides of a sheet are then 1.8
-/// voxels apart.
-const THIN_MIN_VOXELS: f64 = 0.9;
-
-/// Particles are flattened by default up to this voxel size, in spacings: on a coarser grid a sheet is as thick
-/// as balls.
-const FLATTEN_MAX: f64 = 0.66;
+/// The same for kernels: a sheet of one layer then has the volume of its particles.
+const MAX_STRETCH_OF_KERNELS: f64 = 2.0;
 
 /// Default search radius for neighbours, in units of r_min.
 const NEIGHBOR_RADIUS: f64 = 3.0;
@@ -77,24 +77,11 @@ pub(super) fn cavities(recipe: &Recipe, voxels: f64) -> f64 {
     rounded_to_digits(recipe.fill_cavities * voxels.powi(3)).min(CAVITY_VOXELS_MAX)
 }
 
-/// Default r_init, for r_min and r_max = `ratio` · r_min.
-pub(super) fn initial_radius(recipe: &Recipe, radius_min: f64, ratio: f64) -> f64 {
-    let radius_max = ratio * radius_min;
-    match recipe.radius_init {
-        InitialRadius::Middle => 0.5 * (radius_min + radius_max),
-        InitialRadius::Times(factor) => rounded_to_digits(factor * radius_min).min(radius_max),
-    }
-}
-
-/// r_min, r_init and r_max.
+/// r_min, r_init and r_max of the paper: r_min is √3 h (Eq. 13), and r_init the mean of the other two (Eq. 2).
 pub(super) fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Result<[f64; 3], SettingsError> {
-    let (recipe, h) = (options.recipe(), scale.voxel_size);
-    // On coarse voxels, raise r_min to the smallest value with which no particle falls between voxels (Eq.
-    // 13).
-    let usual = scale.units(recipe.unit, recipe.radius_min);
+    let h = scale.voxel_size;
     let given = scale.length(options.radius_min);
-    let radius_min = given.unwrap_or(usual.max(3f64.sqrt() * h));
-    let radius_min = positive_length("radius r_min", options.radius_min, radius_min)?;
+    let radius_min = positive_length("radius r_min", options.radius_min, given.unwrap_or(3f64.sqrt() * h))?;
     require(radius_min >= RADIUS_MIN_VOXELS * h, || {
         format!(
             "{} is {} voxels; it must be at least {RADIUS_MIN_VOXELS}: choose a larger r_min or a smaller voxel size",
@@ -106,57 +93,63 @@ pub(super) fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Resul
         format!("the radius ratio is {ratio}; it must be at least 1")
     })?;
     let radius_max = ratio * radius_min;
-    // A raised r_min raises r_init only as far as smoothing needs: the surface stays where it is.
-    let is_raised = given.is_none() && radius_min > usual;
-    let least = if is_raised { ROOM_TO_SMOOTH * radius_min } else { radius_min };
-    let initial = initial_radius(&recipe, given.unwrap_or(usual), ratio).max(least).min(radius_max);
-    let radius_init = scale.length(options.radius_init).unwrap_or(initial);
-    let radius_init = positive_length("radius r_init", options.radius_init, radius_init)?;
-    // r_max is the product of two typed numbers, which may differ from a typed r_init by a rounding error.
-    let slack = 1e-9 * radius_max;
-    require((radius_min - slack..=radius_max + slack).contains(&radius_init), || {
-        format!(
-            "{}; it must be between r_min = {} and r_max = {}",
-            stated("r_init", options.radius_init, radius_init),
-            significant(radius_min),
-            significant(radius_max)
-        )
-    })?;
     require(radius_max <= RADIUS_MAX_VOXELS * h, || {
         let what = format!(
             "r_max is {} voxels; it must be at most {RADIUS_MAX_VOXELS}",
             significant(radius_max / h)
         );
-        match (options.radius_min, recipe.unit) {
-            (Some(_), _) => format!("{what}: choose a smaller r_min or ratio, or a larger voxel size"),
-            (None, Unit::VoxelSize) => {
+        match options.radius_min {
+            Some(_) => format!("{what}: choose a smaller r_min or ratio, or a larger voxel size"),
+            None => {
                 format!("{what}: choose a smaller ratio, or a larger voxel size with r_min in world units")
-            }
-            // Without a given r_min, r_min is at least √3 voxels.
-            (None, Unit::Spacing) if ratio * 3f64.sqrt() > RADIUS_MAX_VOXELS => {
-                let most = (10.0 * RADIUS_MAX_VOXELS / 3f64.sqrt()).floor() / 10.0;
-                format!("{what}: the radius ratio is {ratio}; it must be at most {most}")
-            }
-            (None, Unit::Spacing) => {
-                // Rounded up to two digits.
-                let least = radius_max / RADIUS_MAX_VOXELS;
-                let digit = 10f64.powf(least.log10().floor() - 1.0);
-                let least = significant((least / digit).ceil() * digit);
-                let ratio = if options.radius_ratio.is_some() { ", or a smaller ratio" } else { "" };
-                let h = significant(h);
-                format!(
-                    "the voxel size {h} is too small: {what}; use a voxel size of at least {least}{ratio}"
-                )
             }
         }
     })?;
-    Ok([radius_min, radius_init.clamp(radius_min, radius_max), radius_max])
+    Ok([radius_min, 0.5 * (radius_min + radius_max), radius_max])
+}
+
+/// The same radii for kernels: that of the ball around each particle that is always inside; half the distance
+/// up to which particles count as one piece of fluid; and the reach of a kernel.
+pub(super) fn kernel_radii(scale: &Scale, options: &MethodOptions) -> Result<[f64; 3], SettingsError> {
+    let (recipe, h) = (options.recipe(), scale.voxel_size);
+    // A lone particle must not fall between voxels.
+    let least = Start::Kernels.resolved_voxels() * h / f64::from(LONE_RADIUS);
+    let usual = scale.units(recipe.unit, recipe.blend.unwrap_or_default()).max(least);
+    let reach = scale.length(options.blend).unwrap_or(usual);
+    let reach = positive_length(BLEND, options.blend, reach)?;
+    let most = RADIUS_MAX_VOXELS * h;
+    let slack = 1e-9 * most;
+    require((least - slack..=most + slack).contains(&reach), || {
+        format!(
+            "the {}; it must be from {} to {}, {} to {RADIUS_MAX_VOXELS} voxels: choose another voxel size",
+            stated(BLEND, options.blend, reach),
+            significant(least),
+            significant(most),
+            significant(least / h),
+        )
+    })?;
+    Ok([h, LINKED * reach, reach])
+}
+
+/// The name of a length in messages.
+const BLEND: &str = "distance up to which particles blend";
+
+/// The radius of the surface of a lone particle of scale 1, from r_min and r_max.
+pub(super) fn unit_radius([radius_min, radius_max]: [f64; 2], start: Start) -> f64 {
+    match start {
+        Start::Spheres => radius_min,
+        Start::Kernels => f64::from(LONE_RADIUS) * radius_max,
+    }
 }
 
 /// How far the finished surface is moved, world units.
-pub(super) fn offset(options: &MethodOptions, radius_min: f64, scale: &Scale) -> Result<f64, SettingsError> {
+pub(super) fn offset(options: &MethodOptions, radius: f64, scale: &Scale) -> Result<f64, SettingsError> {
     let offset = scale.length(options.offset).unwrap_or(0.0);
-    check_offset((options.offset, offset), (radius_min, "r_min"), scale.voxel_size)?;
+    let name = match options.start() {
+        Start::Spheres => "r_min",
+        Start::Kernels => "(radius of a lone particle)",
+    };
+    check_offset((options.offset, offset), (radius, name), scale.voxel_size)?;
     Ok(offset)
 }
 
@@ -180,76 +173,20 @@ pub(super) fn check_offset(
     })
 }
 
-pub(super) fn anisotropy(
-    options: &MethodOptions,
-    radius_min: f64,
-    scale: &Scale,
-) -> Result<Anisotropy, SettingsError> {
-    let max_stretch = options.max_stretch.unwrap_or(MAX_STRETCH);
-    match options.anisotropy_kind() {
+pub(super) fn anisotropy(options: &MethodOptions) -> Result<Anisotropy, SettingsError> {
+    let kind = options.anisotropy_kind();
+    let is_by_neighbors = kind == AnisotropyKind::Neighbors && options.start() == Start::Kernels;
+    let usual = if is_by_neighbors { MAX_STRETCH_OF_KERNELS } else { MAX_STRETCH };
+    let max_stretch = options.max_stretch.unwrap_or(usual);
+    match kind {
         AnisotropyKind::None => Ok(Anisotropy::None),
-        AnisotropyKind::Neighbors if is_too_coarse_to_flatten(options, scale) => Ok(Anisotropy::None),
-        AnisotropyKind::Neighbors => {
-            let [thin_radius, lone_radius] = flattened_radii(options, radius_min, scale)?;
-            Ok(Anisotropy::Neighbors { max_stretch, thin_radius, lone_radius })
-        }
+        AnisotropyKind::Neighbors => Ok(Anisotropy::Neighbors { max_stretch }),
         AnisotropyKind::Velocity => {
             let gain = positive("velocity gain", options.velocity_gain.unwrap_or(VELOCITY_GAIN))?;
             Ok(Anisotropy::Velocity { gain, max_stretch })
         }
     }
 }
-
-/// Whether only the preset requests flattening, and the grid is too coarse for anything thinner than a ball.
-fn is_too_coarse_to_flatten(options: &MethodOptions, scale: &Scale) -> bool {
-    let MethodOptions { anisotropy, max_stretch, thin_radius, lone_radius, .. } = options;
-    let is_chosen = anisotropy.is_some() || max_stretch.is_some();
-    let is_chosen = is_chosen || thin_radius.is_some() || lone_radius.is_some();
-    !is_chosen && scale.voxel_size > FLATTEN_MAX * scale.spacing
-}
-
-/// The smallest semi-axis of flattened particles, and r_min of particles without neighbours.
-fn flattened_radii(
-    options: &MethodOptions,
-    radius_min: f64,
-    scale: &Scale,
-) -> Result<[f64; 2], SettingsError> {
-    let (recipe, h) = (options.recipe(), scale.voxel_size);
-    let (length, held) = (|count| scale.units(recipe.unit, count), 3f64.sqrt() * h);
-    let [least, most] = [THIN_MIN_VOXELS * h, radius_min.max(held)];
-    let thin =
-        recipe.thin_radius.map_or(held, |radius| length(radius).max(rounded_to_digits(least)).min(most));
-    let thin = positive_length(
-        SMALLEST_SEMI_AXIS,
-        options.thin_radius,
-        scale.length(options.thin_radius).unwrap_or(thin),
-    )?;
-    // Typed numbers may differ from computed ones by a rounding error.
-    let slack = 1e-9 * most;
-    require((least - slack..=most + slack).contains(&thin), || {
-        format!(
-            "the {}; it must be from {THIN_MIN_VOXELS} h = {} to r_min = {}",
-            stated(SMALLEST_SEMI_AXIS, options.thin_radius, thin),
-            significant(least),
-            significant(most)
-        )
-    })?;
-    let lone = recipe.lone_radius.map_or(radius_min, |radius| length(radius).max(held).min(radius_min));
-    let lone =
-        positive_length(LONE_RADIUS, options.lone_radius, scale.length(options.lone_radius).unwrap_or(lone))?;
-    require(lone <= radius_min + slack, || {
-        format!(
-            "the {}; it must be at most r_min = {}",
-            stated(LONE_RADIUS, options.lone_radius, lone),
-            significant(radius_min)
-        )
-    })?;
-    Ok([thin, lone.max(held).min(radius_min)])
-}
-
-/// The names of two lengths in messages.
-const SMALLEST_SEMI_AXIS: &str = "smallest semi-axis of flattened particles";
-const LONE_RADIUS: &str = "radius of particles without neighbours";
 
 pub(super) fn neighbor_radius(
     options: &MethodOptions,
@@ -333,26 +270,21 @@ impl Settings {
     pub fn to_options(&self) -> MethodOptions {
         let (kind, velocity_gain, max_stretch) = match self.anisotropy {
             Anisotropy::None => (AnisotropyKind::None, None, None),
-            Anisotropy::Neighbors { max_stretch, .. } => (AnisotropyKind::Neighbors, None, Some(max_stretch)),
+            Anisotropy::Neighbors { max_stretch } => (AnisotropyKind::Neighbors, None, Some(max_stretch)),
             Anisotropy::Velocity { gain, max_stretch } => {
                 (AnisotropyKind::Velocity, Some(gain), Some(max_stretch))
             }
         };
-        let (thin_radius, lone_radius) = match self.anisotropy {
-            Anisotropy::Neighbors { thin_radius, lone_radius, .. } => {
-                (Some(thin_radius.into()), Some(lone_radius.into()))
-            }
-            Anisotropy::None | Anisotropy::Velocity { .. } => (None, None),
-        };
+        let of_start = |start, length: f64| (self.start == start).then_some(length);
         // Also without attributes: those of a sequence in memory are selected for each frame, later.
         let velocity_scale = Some(self.velocity_scale).filter(|scale| *scale != 1.0);
         MethodOptions {
             preset: Some(self.preset),
             spacing: Some(self.spacing),
             voxel_size: Some(self.voxel_size.into()),
-            radius_min: Some(self.radius_min.into()),
-            radius_ratio: Some(self.radius_ratio),
-            radius_init: Some(self.radius_init.into()),
+            radius_min: of_start(Start::Spheres, self.radius_min).map(Length::from),
+            radius_ratio: of_start(Start::Spheres, self.radius_ratio),
+            blend: of_start(Start::Kernels, self.radius_max).map(Length::from),
             offset: (self.offset != 0.0).then_some(self.offset.into()),
             columns: self.reading.columns.clone(),
             r#where: self.reading.filter.clone(),
@@ -360,8 +292,6 @@ impl Settings {
             radius_scale: self.per_particle_radius.as_ref().map(|own| own.scale),
             anisotropy: Some(kind),
             max_stretch,
-            thin_radius,
-            lone_radius,
             neighbor_radius: self.uses_neighbors().then_some(self.neighbor_radius.into()),
             position_smoothing: Some(self.position_smoothing),
             velocity_gain,
@@ -399,8 +329,11 @@ impl Settings {
             is_used && !is_off
         };
         let mut pairs = self.to_options().to_pairs();
-        let after = pairs.iter().position(|(name, _)| *name == "radius_init").map_or(0, |index| index + 1);
-        pairs.insert(after, ("radius_max", self.radius_max.to_string()));
+        let after = pairs.iter().position(|(name, _)| *name == "radius_ratio").map_or(0, |index| index + 1);
+        if self.start == Start::Spheres {
+            pairs.insert(after, ("radius_init", self.radius_init.to_string()));
+            pairs.insert(after + 1, ("radius_max", self.radius_max.to_string()));
+        }
         pairs.retain(|pair| is_relevant(pair.0) && changes_something(pair));
         // Sort by the order of the options, except those with a fixed position at the end.
         pairs.sort_by_key(|(name, _)| LAST.iter().position(|last| last == name).map_or(0, |index| index + 1));

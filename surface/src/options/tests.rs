@@ -1,4 +1,5 @@
 use super::*;
+use crate::particles::LONE_RADIUS;
 use crate::spacing::IRREGULAR;
 
 #[test]
@@ -75,14 +76,14 @@ fn presets_smooth_for_the_same_time_with_any_integrator() {
     }
 }
 
-/// The lengths and times of settings, in particle spacings and their powers.
+/// The lengths and times of settings, in particle spacings and their powers. r_min is one voxel.
 fn in_spacings(settings: &Settings) -> [f64; 7] {
     let h = settings.voxel_size / settings.spacing;
     let lengths = [settings.radius_min, settings.radius_init, settings.radius_max, settings.neighbor_radius];
     let [min, init, max, radius] = lengths.map(|length| length / settings.spacing);
     let time = f64::from(settings.smoothing.steps) * settings.smoothing.step_size * h.powi(4);
     let laplacian_time = f64::from(settings.smoothing.laplacian_steps) * h * h;
-    [min, init, max, radius, time, laplacian_time, settings.fill_cavities * h.powi(3)]
+    [min / h, init, max, radius, time, laplacian_time, settings.fill_cavities * h.powi(3)]
 }
 
 #[test]
@@ -97,35 +98,15 @@ fn finer_grid_keeps_lengths_and_times() {
         };
         let usual = resolved(3.0);
         // The number of Laplacian steps is rounded.
-        for (voxels, slack) in [(2.7, 0.1), (4.0, 0.06), (6.0, 0.05)] {
+        for (voxels, slack) in [(2.7, 0.25), (4.0, 0.25), (6.0, 0.2)] {
             for (finer, usual) in resolved(voxels).into_iter().zip(usual) {
                 assert!((finer / usual - 1.0).abs() <= slack, "{voxels}: {finer} and not {usual}");
             }
         }
-        let anisotropy = |voxels: f64, kind| {
-            let voxel_size = Some((spacing / voxels).into());
-            let choices = MethodOptions {
-                voxel_size,
-                spacing: Some(spacing),
-                anisotropy: kind,
-                ..MethodOptions::default()
-            };
-            Settings::resolve(&choices, None).expect("sound").anisotropy
-        };
-        let thin = |voxels: f64| match anisotropy(voxels, None) {
-            Anisotropy::Neighbors { thin_radius, .. } => thin_radius / spacing,
-            other => panic!("{other:?}"),
-        };
-        // The thin radius is the default as long as the grid resolves it.
-        assert!((thin(2.5) - 0.36).abs() < 1e-9 && (thin(6.0) - 0.36).abs() < 1e-9);
-        assert!((thin(2.4) - 0.375).abs() < 1e-9 && (thin(2.49) - 0.9 / 2.49).abs() < 1e-9);
-        // On coarse voxels, particles are balls unless the options request other shapes.
-        assert_eq!(anisotropy(1.0, None), Anisotropy::None);
-        assert!(matches!(anisotropy(1.0, Some(AnisotropyKind::Neighbors)), Anisotropy::Neighbors { .. }));
-        // On coarse voxels r_min is raised, and r_init only if it must be.
-        for (voxels, min, init) in [(2.0, 0.5 * 3f64.sqrt(), 1.02), (1.0, 3f64.sqrt(), 1.1 * 3f64.sqrt())] {
+        // On coarse voxels the reach is raised, so that a lone particle does not fall between voxels.
+        for (voxels, reach) in [(2.0, 2.0), (1.0, 1.1 / f64::from(LONE_RADIUS))] {
             let coarse = resolved(voxels);
-            assert!((coarse[0] - min).abs() < 1e-9 && (coarse[1] - init).abs() < 1e-2, "{coarse:?}");
+            assert!((coarse[2] - reach).abs() < 1e-9, "{coarse:?}");
             assert!((coarse[3] - usual[3]).abs() < 1e-9);
         }
     }
@@ -193,15 +174,17 @@ fn offset_out_of_range_is_rejected_with_the_range() {
 fn lengths_out_of_range_are_named_as_typed() {
     // d = 0.1 and h = 0.032.
     for (name, text, expected) in [
-        ("offset", "5h", "the offset 5h is 0.16; it must be from -r_min = -0.068 to 2 h = 0.064"),
-        ("offset", "-2d", "the offset -2d is -0.2; it must be from -r_min = -0.068 to 2 h = 0.064"),
-        ("offset", "0.2", "the offset is 0.2; it must be from -r_min = -0.068 to 2 h = 0.064"),
+        ("offset", "5h", "the offset 5h is 0.16; it must be from -(radius of a lone particle) = -0.0613"),
+        ("offset", "-2d", "the offset -2d is -0.2; it must be from -(radius of a lone particle) = -0.0613"),
+        ("offset", "0.2", "the offset is 0.2; it must be from -(radius of a lone particle) = -0.0613"),
         ("voxel_size", "-1d", "the voxel size -1d is -0.1; it must be a positive number"),
-        ("radius_min", "-1d", "the radius r_min -1d is -0.1; it must be a positive number"),
-        ("radius_min", "1e-9d", "r_min 0.000000001d is 3.125e-9 voxels"),
-        ("radius_init", "9h", "r_init 9h is 0.288; it must be between r_min = 0.068 and r_max = 0.1904"),
-        ("thin_radius", "2d", "the smallest semi-axis of flattened particles 2d is 0.2; it must be from"),
-        ("lone_radius", "2d", "the radius of particles without neighbours 2d is 0.2; it must be at most"),
+        (
+            "blend",
+            "-1d",
+            "the distance up to which particles blend -1d is -0.1; it must be a positive number",
+        ),
+        ("blend", "3h", "the distance up to which particles blend 3h is 0.096; it must be from 0.114"),
+        ("blend", "65h", "the distance up to which particles blend 65h is 2.08; it must be from 0.114"),
         ("neighbor_radius", "90d", "the neighbour radius 90d is 281.25 h; it must be at most 200 h"),
     ] {
         let error = Settings::resolve(&options(&[(name, text)]), Some(0.1.into())).expect_err(text);
@@ -232,22 +215,23 @@ fn many_steps_cause_a_warning() {
 
 #[test]
 fn options_are_checked_before_the_voxel_size_is_known() {
-    let choices = |radius_min: Option<f64>, radius_ratio, radius_init: Option<f64>| MethodOptions {
+    let choices = |radius_min: Option<f64>, radius_ratio| MethodOptions {
+        preset: Some(Preset::Paper),
         radius_min: radius_min.map(Length::from),
         radius_ratio,
-        radius_init: radius_init.map(Length::from),
         ..MethodOptions::default()
     };
+    let blend = |blend: f64| MethodOptions { blend: Some(blend.into()), ..MethodOptions::default() };
     for sound in [
-        choices(None, None, None),
-        choices(Some(1e-9), None, None),
-        choices(Some(1e9), Some(20.0), None),
-        choices(None, None, Some(1e-9)),
-        choices(None, Some(1.0), Some(1e9)),
-        choices(None, Some(4.0), Some(0.3)),
-        choices(Some(0.1), Some(4.0), Some(0.3)),
-        MethodOptions { offset: Some(7.0.into()), ..choices(Some(0.1), None, None) },
-        MethodOptions { offset: Some((-0.1).into()), ..choices(Some(0.1), None, None) },
+        choices(None, None),
+        choices(Some(1e-9), None),
+        choices(Some(1e9), Some(20.0)),
+        choices(None, Some(4.0)),
+        choices(Some(0.1), Some(4.0)),
+        blend(1e-9),
+        blend(1e9),
+        MethodOptions { offset: Some(7.0.into()), ..choices(Some(0.1), None) },
+        MethodOptions { offset: Some((-0.1).into()), ..choices(Some(0.1), None) },
         MethodOptions { offset: Some((-7.0).into()), ..MethodOptions::default() },
         // Some particle spacing makes this valid.
         MethodOptions { neighbor_radius: Some(201.0.into()), ..MethodOptions::default() },
@@ -255,14 +239,14 @@ fn options_are_checked_before_the_voxel_size_is_known() {
         assert_eq!(Settings::check(&sound), Ok(()), "{sound:?}");
     }
     for (invalid, word) in [
-        (choices(None, Some(0.5), None), "ratio"),
-        (choices(None, Some(-1.0), Some(1.0)), "ratio"),
-        (choices(None, Some(f64::NAN), Some(1.0)), "ratio"),
-        (choices(Some(-1.0), None, None), "r_min"),
-        (choices(Some(f64::INFINITY), None, None), "r_min"),
-        (choices(None, None, Some(0.0)), "r_init"),
-        (choices(Some(0.1), Some(2.0), Some(0.3)), "r_init is 0.3"),
-        (choices(None, Some(1000.0), None), "voxels"),
+        (choices(None, Some(0.5)), "ratio"),
+        (choices(None, Some(-1.0)), "ratio"),
+        (choices(None, Some(f64::NAN)), "ratio"),
+        (choices(Some(-1.0), None), "r_min"),
+        (choices(Some(f64::INFINITY), None), "r_min"),
+        (blend(0.0), "blend"),
+        (blend(f64::NAN), "blend"),
+        (choices(None, Some(1000.0)), "voxels"),
         (
             MethodOptions { steps: Some(u32::MAX), ..MethodOptions::default() },
             "steps is 4294967295; it must be from 0 to 1000000",
@@ -291,7 +275,7 @@ fn options_are_checked_before_the_voxel_size_is_known() {
         ),
         (MethodOptions { offset: Some(f64::NAN.into()), ..MethodOptions::default() }, "offset is NaN"),
         (
-            MethodOptions { offset: Some((-0.11).into()), ..choices(Some(0.1), None, None) },
+            MethodOptions { offset: Some((-0.11).into()), ..choices(Some(0.1), None) },
             "at least -r_min = -0.1",
         ),
         (MethodOptions { quads: Some(true), decimate: Some(0.1), ..MethodOptions::default() }, "quads"),
@@ -313,11 +297,7 @@ fn options_are_checked_before_the_voxel_size_is_known() {
 fn spacing_is_recorded_where_neighbors_matter() {
     let lengths = [
         ("voxel_size", "0.3"),
-        ("radius_min", "0.6"),
-        ("radius_init", "0.9"),
         ("neighbor_radius", "2.6"),
-        ("thin_radius", "0.4"),
-        ("lone_radius", "0.6"),
         ("laplacian_steps", "20"),
         ("step_size", "1"),
         ("fill_cavities", "0"),
@@ -326,14 +306,10 @@ fn spacing_is_recorded_where_neighbors_matter() {
         let options = options(&[&lengths[..], more].concat());
         Settings::resolve(&options, Some(SequenceSpacing::from(spacing))).expect("sound").pairs(|_| true)
     };
-    assert_ne!(pairs(&[], 1.0), pairs(&[], 1.1));
-    let alone = [("anisotropy", "none"), ("position_smoothing", "0")];
-    let alone = |spacing| {
-        let lengths = lengths.iter().filter(|(name, _)| !["thin_radius", "lone_radius"].contains(name));
-        let options = options(&lengths.chain(&alone).copied().collect::<Vec<_>>());
-        Settings::resolve(&options, Some(SequenceSpacing::from(spacing))).expect("sound").pairs(|_| true)
-    };
-    assert_eq!(alone(1.0), alone(1.1));
+    let by_kernels = |spacing| pairs(&[("blend", "1.7")], spacing);
+    assert_ne!(by_kernels(1.0), by_kernels(1.1));
+    let of_spheres = |spacing| pairs(&[("preset", "paper")], spacing);
+    assert_eq!(of_spheres(1.0), of_spheres(1.1));
 }
 
 /// Parses options from text.
@@ -346,29 +322,21 @@ fn lengths_in_spacings_and_voxels_convert_to_world_units() {
     let given = [
         ("spacing", "0.5"),
         ("voxel_size", "0.4d"),
-        ("radius_min", "0.6d"),
-        ("radius_init", "3.5h"),
+        ("blend", "5h"),
         ("offset", "-0.3d"),
-        ("thin_radius", "1h"),
-        ("lone_radius", "0.5d"),
         ("neighbor_radius", "5h"),
     ];
     let world = [
         ("spacing", "0.5"),
         ("voxel_size", "0.2"),
-        ("radius_min", "0.3"),
-        ("radius_init", "0.7"),
+        ("blend", "1"),
         ("offset", "-0.15"),
-        ("thin_radius", "0.2"),
-        ("lone_radius", "0.25"),
         ("neighbor_radius", "1"),
     ];
-    // With these options, r_max is 0.75.
-    let [given, world] =
-        [given, world].map(|pairs| MethodOptions { radius_ratio: Some(2.5), ..options(&pairs) });
+    let [given, world] = [given, world].map(|pairs| options(&pairs));
     let settings = Settings::resolve(&given, None).expect("sound");
     assert_eq!(Settings::resolve(&world, None).as_ref(), Ok(&settings));
-    assert_eq!(settings.to_options().radius_min, Some(0.3.into()));
+    assert_eq!(settings.to_options().blend, Some(1.0.into()));
     assert_eq!(Settings::check(&MethodOptions { spacing: None, ..given }), Ok(()));
 }
 
@@ -384,8 +352,8 @@ fn lengths_in_spacings_need_the_spacing_and_those_in_voxels_do_not() {
     let error = Settings::resolve(&options_in_voxels, None).expect_err("no unit");
     assert!(error.to_string().contains("2h") && error.to_string().contains("0.4d"), "{error}");
     // Lengths in different units are compared once the spacing is known.
-    assert_eq!(Settings::check(&options(&[("radius_min", "0.1"), ("radius_init", "9d")])), Ok(()));
-    assert!(Settings::check(&options(&[("radius_min", "1d"), ("radius_init", "9d")])).is_err());
+    assert_eq!(Settings::check(&options(&[("blend", "0.1"), ("neighbor_radius", "9d")])), Ok(()));
+    assert!(Settings::check(&options(&[("blend", "2d"), ("voxel_size", "1d")])).is_err());
 }
 
 #[test]
@@ -417,10 +385,9 @@ fn auto_becomes_the_preset_that_suits_the_particles() {
         Settings::resolve(&MethodOptions { spacing: Some(0.1), ..of(Preset::Fluid) }, None).expect("sound")
     );
     // Options are valid before the measurement if they are so with one of the presets.
-    for (radius_init, is_valid) in [("0.8d", true), ("1.95d", true), ("2.5d", false)] {
-        let options =
-            MethodOptions { radius_init: Some(radius_init.parse().expect("a length")), ..given.clone() };
-        assert_eq!(Settings::check(&options).is_ok(), is_valid, "{radius_init}");
+    for (blend, is_valid) in [("1.8d", true), ("1d", false)] {
+        let options = MethodOptions { blend: Some(blend.parse().expect("a length")), ..given.clone() };
+        assert_eq!(Settings::check(&options).is_ok(), is_valid, "{blend}");
     }
 }
 

@@ -9,6 +9,7 @@
 //! a [`ParticleSource`] may be a file that is larger than the memory.
 
 mod filter;
+mod kernels;
 mod shapes;
 
 use std::borrow::Cow;
@@ -21,6 +22,7 @@ use rustc_hash::FxHashMap;
 
 pub use filter::ParticleFilter;
 pub(crate) use filter::{rows, rows_of};
+pub use kernels::{LEVEL_AT, LONE_RADIUS, LONE_SCALE, inverse_kernel, kernel};
 pub use shapes::{Ellipsoid, Shapes};
 
 /// Particle positions in world units, in the precision of the input.

@@ -8,8 +8,7 @@
 //!   ellipsoids   |T(x − p)| = r         T: one symmetric matrix per particle       (paper, Eq. 1, Fig. 11)
 //! ```
 //!
-//! An ellipsoid may also have its own r_init and r_max, closer to r_min than those of the settings: then the
-//! surface has less freedom at this particle.
+//! With kernels, an ellipsoid also has a weight, and the room that it leaves to the surface.
 
 use std::ops::Range;
 
@@ -51,7 +50,7 @@ impl Shapes {
         match self {
             Shapes::Uniform => 1.0,
             Shapes::Scaled(scales) => scales[index],
-            Shapes::Ellipsoids(ellipsoids) => ellipsoids[index].init * ellipsoids[index].inner_radius(),
+            Shapes::Ellipsoids(ellipsoids) => ellipsoids[index].inner_radius(),
         }
     }
 
@@ -61,6 +60,15 @@ impl Shapes {
             Shapes::Uniform => Shapes::Uniform,
             Shapes::Scaled(scales) => Shapes::Scaled(scales[range].to_vec()),
             Shapes::Ellipsoids(ellipsoids) => Shapes::Ellipsoids(ellipsoids[range].to_vec()),
+        }
+    }
+
+    /// The shape of one particle as an ellipsoid.
+    pub fn ellipsoid(&self, index: usize) -> Ellipsoid {
+        match self {
+            Shapes::Uniform => Ellipsoid::ball(1.0),
+            Shapes::Scaled(scales) => Ellipsoid::ball(scales[index]),
+            Shapes::Ellipsoids(ellipsoids) => ellipsoids[index],
         }
     }
 
@@ -89,10 +97,10 @@ pub struct Ellipsoid {
     pub to_unit_ball: [f32; 6],
     /// The longest semi-axis: no point of the ellipsoid is farther from its centre.
     pub longest: f32,
-    /// r_init of this particle over r_init of the settings, for the same semi-axes: 1, or less in spray.
-    pub init: f32,
-    /// The same for r_max.
-    pub max: f32,
+    /// The factor of its kernel.
+    pub weight: f32,
+    /// How far the surface may move inward from its start near this particle, in voxels.
+    pub room: f32,
 }
 
 impl Ellipsoid {
@@ -102,8 +110,8 @@ impl Ellipsoid {
         Ellipsoid {
             to_unit_ball: [inverse, inverse, inverse, 0.0, 0.0, 0.0],
             longest: scale,
-            init: 1.0,
-            max: 1.0,
+            weight: 1.0,
+            room: 0.0,
         }
     }
 
@@ -117,7 +125,7 @@ impl Ellipsoid {
             }
         }
         let longest = half_axes.into_iter().fold(0.0, f32::max);
-        Ellipsoid { to_unit_ball, longest, init: 1.0, max: 1.0 }
+        Ellipsoid { to_unit_ball, longest, weight: 1.0, room: 0.0 }
     }
 
     /// The shortest semi-axis, or a little less, in units of the settings' radii. The largest eigenvalue of T

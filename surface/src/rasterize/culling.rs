@@ -58,7 +58,7 @@ use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
 use super::occupancy::{Occupancy, Octants, ROUND};
-use super::{Radii, RasterParams, Regions};
+use super::{Radii, RasterParams, Regions, Start};
 use crate::cancel::checkpoint;
 use crate::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_within};
 use crate::parallel::Loops as _;
@@ -104,17 +104,31 @@ impl<'a> Culling<'a> {
         let radii = scene.radii;
         let occupied = populated(&occupancy.topology, &regions.populated);
         let inward = (-radii.offset).max(0.0);
-        let rho = |held: f32| (radii.min * held).min(RHO_MAX).min(AROUND_MAX - CELL_MARGIN - inward);
+        let has_kernels = radii.start == Start::Kernels;
+        let rho = |held: f32| {
+            if has_kernels {
+                0.0
+            } else {
+                (radii.min * held).min(RHO_MAX).min(AROUND_MAX - CELL_MARGIN - inward)
+            }
+        };
         let balls = |held: f32| [OctantBall::new(radii.init * held), OctantBall::new(rho(held))];
         let covers = covers(occupancy, &occupied, radii, balls);
-        let inside = surrounded(&occupied, &covers, |[init, _]| init);
-        let settled = surrounded(&occupied, &covers, |[_, min]| min);
+        let mut inside = surrounded(&occupied, &covers, |[init, _]| init);
+        let settled = if has_kernels {
+            for _ in 1..radii.init.ceil() as u32 {
+                inside = surrounded(&occupied, &inside, |inside| inside);
+            }
+            inside.clone()
+        } else {
+            surrounded(&occupied, &covers, |[_, min]| min)
+        };
         let near = near_leaves(occupancy, &occupied, &inside, scene, &regions.measured);
         let kept = Vec::new();
         let mut culling = Culling { near, occupied, inside, settled, kept };
         culling.kept = if scene.keeps_all_particles {
             vec![LeafMask::FULL; culling.occupied.len()]
-        } else if occupancy.has_shapes {
+        } else if occupancy.has_shapes || has_kernels {
             culling.kept_leaves(occupancy, radii, regions)
         } else {
             culling.kept_cells(&covers, radii, rho(1.0) + inward, regions)
@@ -253,10 +267,10 @@ fn cube<T>(at: impl Fn(IVec3) -> T) -> [T; 27] {
 }
 
 /// The voxels of each leaf that are covered, with all face neighbors.
-fn surrounded(
+fn surrounded<T: Sync>(
     leaves: &Topology,
-    covers: &[Covers],
-    of: impl Fn(&Covers) -> &LeafMask + Sync,
+    covers: &[T],
+    of: impl Fn(&T) -> &LeafMask + Sync,
 ) -> Vec<LeafMask> {
     let surrounded = |(leaf, neighbors): (usize, &[u32; 6])| {
         let face = |neighbor: u32| match neighbor {
@@ -277,7 +291,7 @@ fn near_leaves(
     scene: &RasterParams,
     region: &CoordBox,
 ) -> Topology {
-    let radius = scene.radii.init;
+    let radius = scene.radii.start_reach();
     let is_deep = |leaf: usize| inside[leaf] == LeafMask::FULL;
     let reach_of = |longest: f32| (radius * longest + ROUNDING) as i32;
     let reach = reach_of(occupancy.longest());

@@ -12,7 +12,8 @@ use rayon::prelude::*;
 use super::bin::ParticleBins;
 use super::culling::Culling;
 use super::ellipsoid::{BallShape, EllipsoidShape, Primitives};
-use super::{Radii, keep, keep_in_place, sweep_count};
+use super::kernels::KernelShape;
+use super::{Radii, Start, keep, keep_in_place, sweep_count};
 use crate::grid::{
     Field, LEAF_EDGE, LEAVES_PER_TASK, Leaf, LeafMask, NO_LEAF, ROW_COUNT, SetBits, Topology,
     leaf_steps_within,
@@ -49,11 +50,17 @@ pub(super) enum DistanceSolver<'a> {
     Centers(ParticlePackets<'a>, f32),
     Balls(Primitives<BallShape>),
     Ellipsoids(Primitives<EllipsoidShape>),
+    /// The fields are not distances, but those of [`kernels`](super::kernels).
+    Kernels(Primitives<KernelShape>),
 }
 
 impl<'a> DistanceSolver<'a> {
     /// A solver for these particles.
     pub(super) fn new(bins: &'a ParticleBins, radii: Radii) -> DistanceSolver<'a> {
+        if radii.start == Start::Kernels {
+            let shape = |particle| KernelShape::new(bins.shapes.ellipsoid(particle));
+            return DistanceSolver::Kernels(Primitives::new(bins, radii, shape));
+        }
         match &bins.shapes {
             Shapes::Uniform => DistanceSolver::Centers(ParticlePackets::new(bins), radii.exact_reach(1.0)),
             Shapes::Scaled(scales) => {
@@ -72,7 +79,7 @@ impl<'a> DistanceSolver<'a> {
         let (count, is_exact_outside) = match self {
             DistanceSolver::Centers(..) => (1, true),
             DistanceSolver::Balls(_) => (3, true),
-            DistanceSolver::Ellipsoids(_) => (3, false),
+            DistanceSolver::Ellipsoids(_) | DistanceSolver::Kernels(_) => (3, false),
         };
         // With room for further leaves, which takes no memory until they are written.
         let field = |_| Field { leaves: Vec::with_capacity(2 * leaves.len()) };
@@ -91,6 +98,7 @@ impl<'a> DistanceSolver<'a> {
             }
             DistanceSolver::Balls(primitives) => primitives.append_distances(fields, leaves, settled),
             DistanceSolver::Ellipsoids(primitives) => primitives.append_distances(fields, leaves, settled),
+            DistanceSolver::Kernels(primitives) => primitives.append_distances(fields, leaves, settled),
         }
     }
 
@@ -148,7 +156,7 @@ impl SphereDistances {
     }
 
     /// Takes the same field by value, for its last use.
-    fn take(&mut self, sphere: SphereUnion) -> Field {
+    pub(super) fn take(&mut self, sphere: SphereUnion) -> Field {
         let index = self.index(sphere);
         std::mem::take(&mut self.fields[index])
     }

@@ -60,9 +60,6 @@ pub(super) trait ParticleShape: Copy + Sync + Send {
     /// A lower bound of the shortest semi-axis, in units of the radii.
     fn shortest(&self) -> f32;
 
-    /// Whether its r_init or r_max is not that of the settings.
-    fn has_own_radii(&self) -> bool;
-
     /// Half extents along each axis within which the particle can lower a value, in voxels, if its outermost
     /// radius is `outermost`.
     fn extents(&self, outermost: f32) -> Vec3;
@@ -84,7 +81,7 @@ pub(super) trait ParticleShape: Copy + Sync + Send {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Unions {
     /// r_max, r_init, r_min.
-    radii: [f32; 3],
+    pub(super) radii: [f32; 3],
     /// A lower bound of all semi-axes, in units of the radii.
     shortest: f32,
 }
@@ -139,8 +136,6 @@ struct ClassLeaf {
     packets: Range<usize>,
     /// A lower bound of their semi-axes, in units of the radii.
     shortest: f32,
-    /// Whether one of them has its own r_init or r_max.
-    has_own_radii: bool,
 }
 
 /// Centers and extents of eight particles: x, y, z of each. The centers of unused lanes are infinite, so that
@@ -214,8 +209,11 @@ impl<F: ParticleShape> Primitives<F> {
                 let reach = class.reach as i32 + LEAF_EDGE;
                 let is_near = |step: IVec3| step.abs().max_element() <= reach;
                 let leaves = class.topology.origins().iter().enumerate();
-                let near = leaves.filter(|(_, other)| is_near(**other - origin));
-                around.extend(near.map(|(leaf, &other)| class.leaf(leaf, other - origin)));
+                let steps = leaves.map(|(leaf, &other)| (other - origin, leaf));
+                let mut near: Vec<(IVec3, usize)> = steps.filter(|(step, _)| is_near(*step)).collect();
+                // The order of `leaf_steps_within`: sums depend on the order of their terms.
+                near.sort_by_key(|(step, _)| (step.length_squared(), step.to_array()));
+                around.extend(near.into_iter().map(|(step, leaf)| class.leaf(leaf, step)));
             }
         }
         around
@@ -253,8 +251,7 @@ impl<F: ParticleShape> SizeClass<F> {
             checkpoint();
             let shapes = || primitives[own.clone()].iter().map(|primitive| primitive.shape);
             let shortest = shapes().map(|shape| shape.shortest()).fold(f32::INFINITY, f32::min);
-            let has_own_radii = shapes().any(|shape| shape.has_own_radii());
-            ClassLeaf { primitives: own, packets, shortest, has_own_radii }
+            ClassLeaf { primitives: own, packets, shortest }
         };
         let leaves = ranges.into_par_iter().halved().map(class_leaf).collect();
         let reach = primitives.par_iter().halved().map(|primitive| primitive.extents.max_element());
@@ -264,13 +261,12 @@ impl<F: ParticleShape> SizeClass<F> {
     }
 
     fn leaf(&self, leaf: usize, step: IVec3) -> NearbyLeaf<'_, F> {
-        let ClassLeaf { primitives, packets, shortest, has_own_radii } = &self.leaves[leaf];
+        let ClassLeaf { primitives, packets, shortest } = &self.leaves[leaf];
         NearbyLeaf {
             step: step.as_vec3(),
             boxes: &self.boxes[packets.clone()],
             primitives: &self.primitives[primitives.clone()],
             shortest: *shortest,
-            has_own_radii: *has_own_radii,
         }
     }
 }
@@ -295,7 +291,6 @@ pub(super) struct NearbyLeaf<'a, F> {
     /// Primitive `8·i + k` has the box in lane `k` of packet `i`.
     primitives: &'a [Primitive<F>],
     shortest: f32,
-    has_own_radii: bool,
 }
 
 /// Kernel: computes the signed distances of a leaf to the three unions.
@@ -344,7 +339,7 @@ fn touches<V: Lanes>(centers: &[f32; 8], step: f32, extents: &[f32; 8]) -> u8 {
 
 /// Range of a leaf's voxels along an axis that lie within `extent` of `center`.
 #[inline(always)]
-fn voxels_within(center: f32, extent: f32) -> Range<usize> {
+pub(super) fn voxels_within(center: f32, extent: f32) -> Range<usize> {
     let first = (center - extent).ceil().max(0.0) as usize;
     let last = (center + extent).floor().min((LEAF_EDGE - 1) as f32) as i32;
     first..(last + 1).max(0) as usize
@@ -352,14 +347,14 @@ fn voxels_within(center: f32, extent: f32) -> Range<usize> {
 
 /// The range as bits.
 #[inline(always)]
-fn bits_of(voxels: Range<usize>) -> u8 {
+pub(super) fn bits_of(voxels: Range<usize>) -> u8 {
     let below = |end: usize| (1u16 << end.min(8)) - 1;
     (below(voxels.end) & !below(voxels.start)) as u8
 }
 
 /// Offsets from `center` to a leaf's voxels along an axis.
 #[inline(always)]
-fn offsets<V: Lanes>(center: f32) -> V {
+pub(super) fn offsets<V: Lanes>(center: f32) -> V {
     V::load(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]).sub(V::splat(center))
 }
 
@@ -372,10 +367,6 @@ impl ParticleShape for BallShape {
     #[inline(always)]
     fn shortest(&self) -> f32 {
         self.0
-    }
-
-    fn has_own_radii(&self) -> bool {
-        false
     }
 
     fn extents(&self, outermost: f32) -> Vec3 {
@@ -444,13 +435,9 @@ impl ParticleShape for BallShape {
 /// Voxels farther outside a particle than [`ELLIPSOID_MARGIN`] have no neighbor inside it. Voxels deeper than
 /// [`DEEP`] need no nearer particle.
 pub(super) struct NearestEllipsoids {
-    /// Number of unions that are searched, 1 or 3: one if all particles around have the radii of the settings,
-    /// so that one particle is the nearest for all unions.
-    searched: usize,
-    /// q + r − the particle's own r.
-    q: [Leaf; 3],
+    q: Leaf,
     /// q / |T²(x − p)| of the same particle: voxels per unit of q.
-    ratio: [Leaf; 3],
+    ratio: Leaf,
     /// For each voxel, the square of q beyond which a particle is not nearer.
     limits: Leaf,
     /// The maximum of each row's limits: row `x·8 + y` at `[x][y]`.
@@ -465,13 +452,9 @@ impl NearestEllipsoids {
     /// Updates the limits of a row.
     #[inline(always)]
     fn limit_row<V: Lanes>(&mut self, row: usize) {
-        let mut limit = V::splat(0.0);
-        for q in &self.q[..self.searched] {
-            limit = limit.max(V::load(q.row(row)));
-        }
-        // The last union that is searched is S_min, or all of them.
-        let is_deep = V::load(self.q[self.searched - 1].row(row)).lt(V::splat(self.deep));
-        let limit = V::select(is_deep, V::splat(0.0), limit.min(V::splat(self.farthest)));
+        let q = V::load(self.q.row(row));
+        let is_deep = q.lt(V::splat(self.deep));
+        let limit = V::select(is_deep, V::splat(0.0), q.max(V::splat(0.0)).min(V::splat(self.farthest)));
         let squared = limit.mul(limit).mul(V::splat(LIMIT_SLACK));
         squared.store(self.limits.row_mut(row));
         self.row_limits[row >> 3 & 7][row & 7] = greatest(squared);
@@ -491,12 +474,8 @@ impl ParticleShape for EllipsoidShape {
         1.0 / longest_image(&self.ellipsoid)
     }
 
-    fn has_own_radii(&self) -> bool {
-        self.ellipsoid.init != 1.0 || self.ellipsoid.max != 1.0
-    }
-
     fn extents(&self, outermost: f32) -> Vec3 {
-        outermost * self.ellipsoid.max * self.ellipsoid.extents() + ELLIPSOID_MARGIN
+        outermost * self.ellipsoid.extents() + ELLIPSOID_MARGIN
     }
 
     type State = NearestEllipsoids;
@@ -510,9 +489,8 @@ impl ParticleShape for EllipsoidShape {
         let shortest = around.iter().map(|leaf| leaf.shortest).fold(f32::INFINITY, f32::min);
         let [max, _, min] = unions.radii;
         let mut found = NearestEllipsoids {
-            searched: if around.iter().any(|leaf| leaf.has_own_radii) { 3 } else { 1 },
-            q: [Leaf::splat(0.0); 3],
-            ratio: [Leaf::splat(1.0); 3],
+            q: Leaf::splat(0.0),
+            ratio: Leaf::splat(1.0),
             limits: Leaf::splat(0.0),
             row_limits: [[0.0; 8]; 8],
             farthest: max + ELLIPSOID_MARGIN / shortest,
@@ -520,20 +498,16 @@ impl ParticleShape for EllipsoidShape {
         };
         for row in 0..ROW_COUNT {
             let is_settled = V::mask(settled.row(row));
-            for q in &mut found.q {
-                V::select(is_settled, V::splat(f32::MIN), V::splat(OUT_OF_REACH)).store(q.row_mut(row));
-            }
+            V::select(is_settled, V::splat(f32::MIN), V::splat(OUT_OF_REACH)).store(found.q.row_mut(row));
             found.limit_row::<V>(row);
         }
         found
     }
 
     #[inline(always)]
-    fn add<V: Lanes>(&self, unions: &Unions, found: &mut NearestEllipsoids, center: Vec3, extents: Vec3) {
+    fn add<V: Lanes>(&self, _: &Unions, found: &mut NearestEllipsoids, center: Vec3, extents: Vec3) {
         let EllipsoidShape { ellipsoid, row_form, ratio_min } = self;
         let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball;
-        let [max, init, _] = unions.radii;
-        let excess = [max - ellipsoid.max * max, init - ellipsoid.init * init, 0.0];
         let dz = offsets::<V>(center.z);
         let counts_along_z = V::not(V::splat(extents.z).lt(dz.abs()));
         let (along_x, along_y, along_z) = (V::splat(xz).mul(dz), V::splat(yz).mul(dz), V::splat(zz).mul(dz));
@@ -560,16 +534,12 @@ impl ParticleShape for EllipsoidShape {
                 let w_squared = length_squared(wx, wy, wz).max(V::splat(f32::MIN_POSITIVE));
                 let ratio = q_squared.div(w_squared).sqrt().max(V::splat(*ratio_min));
                 let q = V::select(counts, q_squared.sqrt(), V::splat(OUT_OF_REACH));
-                let unions = found.q.iter_mut().zip(&mut found.ratio).zip(excess).take(found.searched);
-                for ((known, ratios), excess) in unions {
-                    let (known, ratios) = (known.row_mut(row), ratios.row_mut(row));
-                    let (own, nearest, of_nearest) =
-                        (q.add(V::splat(excess)), V::load(known), V::load(ratios));
-                    // Of two particles that are equally near, that with the smaller ratio counts, in any order.
-                    let of_equal = V::select(nearest.lt(own), of_nearest, of_nearest.min(ratio));
-                    V::select(own.lt(nearest), ratio, of_equal).store(ratios);
-                    own.min(nearest).store(known);
-                }
+                let (known, ratios) = (found.q.row_mut(row), found.ratio.row_mut(row));
+                let (nearest, of_nearest) = (V::load(known), V::load(ratios));
+                // Of two particles that are equally near, that with the smaller ratio counts, in any order.
+                let of_equal = V::select(nearest.lt(q), of_nearest, of_nearest.min(ratio));
+                V::select(q.lt(nearest), ratio, of_equal).store(ratios);
+                q.min(nearest).store(known);
                 found.limit_row::<V>(row);
             }
         }
@@ -577,10 +547,9 @@ impl ParticleShape for EllipsoidShape {
 
     #[inline(always)]
     fn finish<V: Lanes>(unions: &Unions, found: &NearestEllipsoids, distances: [&mut Leaf; 3]) {
-        for (union, (distances, radius)) in distances.into_iter().zip(unions.radii).enumerate() {
-            let searched = union.min(found.searched - 1);
+        for (distances, radius) in distances.into_iter().zip(unions.radii) {
             for row in 0..ROW_COUNT {
-                let [q, ratio] = [&found.q, &found.ratio].map(|fields| V::load(fields[searched].row(row)));
+                let [q, ratio] = [&found.q, &found.ratio].map(|field| V::load(field.row(row)));
                 // A voxel next to an inside one is at most one voxel from the surface. At thin ellipsoids, the
                 // particle with the least q can be another one, farther away.
                 let value = q.sub(V::splat(radius)).mul(ratio).max(V::splat(-DEEP)).min(V::splat(1.0));
@@ -593,14 +562,14 @@ impl ParticleShape for EllipsoidShape {
 /// Restriction of an ellipsoid's form to rows along z: the minimum of |T·d|² over z is a quadratic form in
 /// d's x and y.
 #[derive(Clone, Copy, Debug)]
-struct RowForm {
+pub(super) struct RowForm {
     xx: f32,
     yy: f32,
     xy: f32,
 }
 
 impl RowForm {
-    fn of(ellipsoid: &Ellipsoid) -> RowForm {
+    pub(super) fn of(ellipsoid: &Ellipsoid) -> RowForm {
         let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball;
         let (x, y, z) = (Vec3::new(xx, xy, xz), Vec3::new(xy, yy, yz), Vec3::new(xz, yz, zz));
         // A step along z cancels the component along T·z.
@@ -615,7 +584,7 @@ impl RowForm {
 
     /// The minimum of |T·d|² along each of eight rows with the same x.
     #[inline(always)]
-    fn least_squared<V: Lanes>(&self, dx: f32, dy: V) -> V {
+    pub(super) fn least_squared<V: Lanes>(&self, dx: f32, dy: V) -> V {
         let of_x = V::splat(self.xx * dx).add(V::splat(2.0 * self.xy).mul(dy));
         V::splat(dx).mul(of_x).add(V::splat(self.yy).mul(dy).mul(dy))
     }
@@ -628,6 +597,6 @@ fn longest_image(ellipsoid: &Ellipsoid) -> f32 {
 }
 
 #[inline(always)]
-fn length_squared<V: Lanes>(x: V, y: V, z: V) -> V {
+pub(super) fn length_squared<V: Lanes>(x: V, y: V, z: V) -> V {
     x.mul(x).add(y.mul(y)).add(z.mul(z))
 }

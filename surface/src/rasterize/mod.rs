@@ -29,6 +29,7 @@ mod culling;
 mod distances;
 mod ellipsoid;
 mod footprint;
+mod kernels;
 mod occupancy;
 mod vicinity;
 
@@ -43,7 +44,7 @@ pub use occupancy::Occupancy;
 pub use vicinity::{GatherBlock, Gathered, Vicinity};
 
 use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
-use crate::level_set::{Bounds, NarrowBand};
+use crate::level_set::{Bounds, NarrowBand, Sweeps, redistance_field};
 use crate::obstacle::{ContactStats, ObstacleLeaf, Obstacles, fill_gaps_at_obstacles};
 use crate::parallel::Loops as _;
 use crate::particles::{AnySource, ParticleSource, Unread, erased};
@@ -75,6 +76,30 @@ pub struct Radii {
     /// Offset of the finished surface, in voxels: positive outward, negative inward. The band is wide enough
     /// for it.
     pub offset: f32,
+    /// What the initial surface is made of.
+    pub start: Start,
+    /// How far the surface may move outward from a start of kernels, in voxels.
+    pub room: f32,
+}
+
+/// What the initial surface is made of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Start {
+    /// Three unions of spheres (paper, Eq. 1 and 2).
+    #[default]
+    Spheres,
+    /// The level of a sum of [kernels]. Each reaches to r_max.
+    Kernels,
+}
+
+impl Start {
+    /// The radius of the smallest ball that the grid resolves wherever it is, in voxels.
+    pub fn resolved_voxels(self) -> f64 {
+        match self {
+            Start::Spheres => 3f64.sqrt(),
+            Start::Kernels => 1.1,
+        }
+    }
 }
 
 /// Bounds are distances up to this far from their zero set, in voxels: far enough to cover both voxels of every
@@ -88,7 +113,17 @@ const EXACT_MARGIN: f32 = 2.0;
 impl Radii {
     /// The radii of uniform balls.
     pub const fn uniform(min: f32, init: f32, max: f32) -> Radii {
-        Radii { min, init, max, min_scale: 1.0, band_scale: 1.0, unused_gap: 0.0, offset: 0.0 }
+        Radii {
+            min,
+            init,
+            max,
+            min_scale: 1.0,
+            band_scale: 1.0,
+            unused_gap: 0.0,
+            offset: 0.0,
+            start: Start::Spheres,
+            room: 0.0,
+        }
     }
 
     /// Half width of the band during smoothing, in voxels. The offset uses up a part of this width: around
@@ -101,7 +136,12 @@ impl Radii {
     /// surface, and the surface may move to either bound, less the unused gap. The band of the result has this
     /// half width, too.
     pub fn result_half_width(&self) -> f32 {
-        let gap = (self.max - self.init).max(self.init - self.min) * self.band_scale - self.unused_gap;
+        let gap = match self.start {
+            Start::Spheres => {
+                (self.max - self.init).max(self.init - self.min) * self.band_scale - self.unused_gap
+            }
+            Start::Kernels => 0.0,
+        };
         // Tolerates rounding: radii that differ by whole voxels need no extra voxel.
         5.0 + (gap - 1e-4).max(0.0).ceil()
     }
@@ -135,7 +175,18 @@ impl Radii {
 
     /// The least depth of a particle below the finished surface, in voxels.
     pub fn depth_min(&self) -> f32 {
-        self.min * self.min_scale + self.offset
+        match self.start {
+            Start::Spheres => self.min * self.min_scale + self.offset,
+            Start::Kernels => self.min + self.offset,
+        }
+    }
+
+    /// How far from a particle the initial surface may be, in voxels, if its longest semi-axis is 1.
+    pub fn start_reach(&self) -> f32 {
+        match self.start {
+            Start::Spheres => self.init,
+            Start::Kernels => kernels::REACH * self.max,
+        }
     }
 
     /// A leaf is stored if one of its voxels is within this distance, per axis, of a voxel next to the
@@ -335,8 +386,14 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     // Memory for the sweeps.
     let mut scratch = Field::default();
     let half_width = radii.half_width();
-    let mut phi =
-        signed_distance(&topology, &mut distances, SphereUnion::Init, radii, half_width, &mut scratch);
+    let mut phi = match radii.start {
+        Start::Spheres => {
+            signed_distance(&topology, &mut distances, SphereUnion::Init, radii, half_width, &mut scratch)
+        }
+        Start::Kernels => {
+            distance_to_zero(&topology, distances.take(SphereUnion::Init), half_width, &mut scratch)
+        }
+    };
     let is_banded = |leaf: usize| {
         let origin = topology.origins()[leaf];
         let is_within = |obstacle: &ObstacleLeaf| has_value_within(&phi.leaves[leaf], half_width, obstacle);
@@ -355,8 +412,15 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
     keep(&mut phi, &kept);
     distances.keep(&kept);
     let topology = subset(topology, &kept);
-    let [mut lower, mut upper] = [SphereUnion::Max, SphereUnion::Min]
-        .map(|sphere| signed_distance(&topology, &mut distances, sphere, radii, BOUND_REACH, &mut scratch));
+    let [mut lower, mut upper] = match radii.start {
+        Start::Spheres => [SphereUnion::Max, SphereUnion::Min].map(|sphere| {
+            signed_distance(&topology, &mut distances, sphere, radii, BOUND_REACH, &mut scratch)
+        }),
+        Start::Kernels => {
+            let [nearest, room] = [SphereUnion::Max, SphereUnion::Min].map(|sphere| distances.take(sphere));
+            kernels::bounds(&phi, nearest, room, [radii.room, radii.min])
+        }
+    };
     drop((distances, scratch));
     let own: Vec<usize> =
         (0..topology.len()).filter(|&leaf| regions.own.contains(topology.origins()[leaf])).collect();
@@ -381,6 +445,14 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
         )
     };
     RasterFields { bins, band, bounds: Bounds::new(lower, upper), contact }
+}
+
+/// The signed distances to the zero set of a field, up to `half_width`.
+fn distance_to_zero(topology: &Topology, field: Field, half_width: f32, scratch: &mut Field) -> Field {
+    scratch.copy_from(&field);
+    let mut phi = field;
+    redistance_field(topology, &mut phi, half_width, Sweeps::accurate(sweep_count(half_width)), scratch);
+    phi
 }
 
 /// True if a leaf has a value within the half width after obstacles are cut out (Eq. 12).

@@ -50,15 +50,6 @@ fn flat_among_round(count: usize, thickness: f32) -> Shapes {
     Shapes::Ellipsoids(shapes)
 }
 
-/// Every third ellipsoid gets its own r_init and r_max.
-fn with_own_radii(shapes: Shapes) -> Shapes {
-    let Shapes::Ellipsoids(mut shapes) = shapes else { unreachable!("by construction") };
-    for (index, shape) in shapes.iter_mut().enumerate().step_by(3) {
-        (shape.init, shape.max) = (0.7 + 0.3 * random(index, 7), 0.7 + 0.3 * random(index, 8));
-    }
-    Shapes::Ellipsoids(shapes)
-}
-
 #[test]
 fn scaled_balls_of_scale_one_equal_uniform_balls() {
     for (name, positions) in scenes() {
@@ -124,10 +115,6 @@ fn culling_changes_no_bit() {
             (Radii { band_scale: 1.5, min_scale: 0.7, ..RADII[2] }, ellipsoids(count, 0.7, 1.4)),
             (Radii { band_scale: 2.0, ..RADII[0] }, ellipsoids(count, 1.0, 2.2)),
             (Radii { min_scale: 0.3, ..RADII[2] }, flat_among_round(count, 0.3)),
-            (
-                Radii { min_scale: 0.3, unused_gap: 3.0, ..RADII[2] },
-                with_own_radii(flat_among_round(count, 0.3)),
-            ),
         ] {
             let source = cloud(&positions, shapes);
             let (band, bounds) = reference(&source, radii);
@@ -306,7 +293,7 @@ fn value_of(shapes: &Shapes, particle: usize, apart: Vec3, radii: [f32; 3]) -> [
         }
         Shapes::Ellipsoids(ellipsoids) => {
             let ellipsoid = ellipsoids[particle];
-            let extents = radii[0] * ellipsoid.max * ellipsoid.extents() + 1.125;
+            let extents = radii[0] * ellipsoid.extents() + 1.125;
             let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball;
             let along = |a: f32, b: f32, c: f32, v: Vec3| (a * v.x + b * v.y) + c * v.z;
             let times = |v: Vec3| Vec3::new(along(xx, xy, xz, v), along(xy, yy, yz, v), along(xz, yz, zz, v));
@@ -315,10 +302,9 @@ fn value_of(shapes: &Shapes, particle: usize, apart: Vec3, radii: [f32; 3]) -> [
             let ratio = (squared(once) / squared(twice).max(f32::MIN_POSITIVE)).sqrt();
             let norm = (xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)).sqrt();
             let counts = apart.abs().cmple(extents).all();
-            let own = [ellipsoid.max, ellipsoid.init, 1.0];
-            std::array::from_fn(|union| {
-                let key = squared(once).sqrt() + (radii[union] - own[union] * radii[union]);
-                let value = (key - radii[union]) * ratio.max(1.0 / norm);
+            let key = squared(once).sqrt();
+            radii.map(|radius| {
+                let value = (key - radius) * ratio.max(1.0 / norm);
                 if counts { (key, value) } else { (f32::INFINITY, f32::INFINITY) }
             })
         }

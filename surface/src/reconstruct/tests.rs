@@ -180,7 +180,7 @@ fn invalid_input_returns_the_matching_error() {
     assert!(matches!(error(&particles, &[], with(-1.0)), Error::Options(_)));
     assert!(matches!(error(&particles, &[], with(f64::NAN)), Error::Options(_)));
     assert!(matches!(error(&particles, &[], with(1e200)), Error::Options(_)));
-    let thin = Options { radius_min: Some(1e-40.into()), ..with(1.0) };
+    let thin = Options { blend: Some(1e-40.into()), ..with(1.0) };
     assert!(matches!(error(&particles, &[], thin), Error::Options(_)));
     assert!(matches!(error(&particles, &[], with(1e-9)), Error::VoxelTooSmall { .. } | Error::Options(_)));
     assert!(matches!(error(&particles, &[], by_radius.clone()), Error::MissingAttribute { arity: 1, .. }));
@@ -194,8 +194,7 @@ fn invalid_input_returns_the_matching_error() {
     assert!(matches!(error(&particles, &[of_nothing], default.clone()), Error::AttributeLength { .. }));
     // Particles far apart, each with the largest possible surface.
     let spray: Vec<[f64; 3]> = (0..400).map(|i| [f64::from(i) * 150.0, 0.0, 0.0]).collect();
-    let large = Options { radius_min: Some(30.0.into()), radius_ratio: Some(2.0), ..with(1.0) };
-    let large = Options { spacing: Some(26.0), anisotropy: Some(AnisotropyKind::None), ..large };
+    let large = Options { blend: Some(60.0.into()), spacing: Some(26.0), ..with(1.0) };
     assert!(matches!(error(&spray, &[], large), Error::MemoryLimit { .. }));
 }
 
@@ -317,7 +316,7 @@ impl Hostile {
             voxel_size: self.some(3, Hostile::length),
             radius_min: self.some(8, Hostile::length),
             radius_ratio: self.some(8, Hostile::number),
-            radius_init: self.some(12, Hostile::length),
+            blend: self.some(8, Hostile::length),
             offset: self.some(8, Hostile::length),
             radius_attribute: self.some(4, |_| "pscale".to_owned()),
             radius_scale: self.some(8, Hostile::number),
@@ -325,8 +324,6 @@ impl Hostile {
                 from.pick(&[AnisotropyKind::None, AnisotropyKind::Neighbors, AnisotropyKind::Velocity])
             }),
             max_stretch: self.some(8, Hostile::number),
-            thin_radius: self.some(12, Hostile::length),
-            lone_radius: self.some(12, Hostile::length),
             neighbor_radius: self.some(8, Hostile::length),
             position_smoothing: self.some(4, Hostile::number),
             velocity_gain: self.some(4, Hostile::number),

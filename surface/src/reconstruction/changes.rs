@@ -175,6 +175,8 @@ impl NeighborChanges {
     /// The shapes of a batch of `count` particles after the changes; `given` are those before.
     pub(super) fn shapes_of(&self, batch: usize, given: Shapes, count: usize) -> Shapes {
         let Some(ball_scale) = self.ball_scale else { return given };
+        // Those that are stretched by their velocities get only a weight and room.
+        let keeps_stretch = matches!(given, Shapes::Ellipsoids(_));
         let mut shapes = match given {
             Shapes::Uniform => vec![Ellipsoid::ball(ball_scale); count],
             Shapes::Scaled(scales) => scales.into_iter().map(Ellipsoid::ball).collect(),
@@ -183,7 +185,11 @@ impl NeighborChanges {
         let (indices, range) = self.changed_in(batch);
         // If no particle is stretched, `shapes` is empty.
         for (index, &shape) in indices.zip(self.shapes.get(range).unwrap_or(&[])) {
-            shapes[index] = shape;
+            shapes[index] = if keeps_stretch {
+                Ellipsoid { weight: shape.weight, room: shape.room, ..shapes[index] }
+            } else {
+                shape
+            };
         }
         Shapes::Ellipsoids(shapes)
     }

@@ -33,7 +33,7 @@ use crate::grid::Leaf;
 use crate::level_set::{NarrowBand, offset_reach_voxels};
 use crate::mesh::{Mesh, PositionRounding, are_halves};
 use crate::obstacle::Obstacles;
-use crate::options::Settings;
+use crate::options::{Settings, Start};
 use crate::particles::{
     AnySource, Attribute, AttributeValues, OwnedPositions, ParticleCloud, ParticleSource, Positions, Role,
     Shapes, Unread,
@@ -213,6 +213,8 @@ fn radii(settings: &Settings) -> Radii {
             band_scale: shape::band_scale(settings),
             unused_gap: shape::unused_gap(settings),
             offset,
+            start: settings.start,
+            room: voxels(settings.room()),
         }
     } else {
         Radii { offset, ..Radii::uniform(min, init, max) }
@@ -243,7 +245,8 @@ const SHRINKING_MAX: f64 = 0.15;
 fn can_spheres_shrink(settings: &Settings) -> bool {
     let [least, init] = [settings.radius_min, settings.radius_init].map(|world| world / settings.voxel_size);
     let left = smooth::radius_after_laplacian(init, settings.smoothing.laplacian_steps);
-    settings.per_particle_radius.is_some() || left - least > SHRINKING_MAX
+    settings.start == Start::Spheres
+        && (settings.per_particle_radius.is_some() || left - least > SHRINKING_MAX)
 }
 
 /// Memory per leaf of a topology: its origin, its neighbors, and its entry in the map.

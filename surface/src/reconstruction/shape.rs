@@ -26,13 +26,13 @@ use glam::DVec3;
 use super::changes::{BlockChanges, NeighborChanges, changed_bytes};
 use super::lattice;
 use crate::anisotropy::{
-    NeighborConfig, NeighborShapes, RadiusScales, Stretch, VelocityConfig, from_neighbors, from_velocities,
-    radius_scales,
+    KernelConfig, NeighborConfig, NeighborShapes, RadiusScales, Stretch, VelocityConfig, from_neighbors,
+    from_velocities, radius_scales,
 };
-use crate::options::{Anisotropy, PerParticleRadius, RADIUS_MAX_VOXELS, Settings};
+use crate::options::{Anisotropy, PerParticleRadius, RADIUS_MAX_VOXELS, Settings, Start};
 use crate::particles::{
-    AnySource, Attribute, OwnedPositions, ParticleCloud, ParticleSource, Positions, Shapes, Unread, erased,
-    find_attribute,
+    AnySource, Attribute, LONE_SCALE, OwnedPositions, ParticleCloud, ParticleSource, Positions, Shapes,
+    Unread, erased, find_attribute,
 };
 use crate::rasterize::{NearSurface, Vicinity};
 use crate::report::ShapeStats;
@@ -73,7 +73,7 @@ pub(crate) fn shapes_by_attributes(
     let by_velocity = match settings.anisotropy {
         Anisotropy::None | Anisotropy::Neighbors { .. } => None,
         Anisotropy::Velocity { gain, max_stretch } => {
-            let gain_per_speed = (gain * settings.velocity_scale / settings.radius_min) as f32;
+            let gain_per_speed = (gain * settings.velocity_scale / settings.unit_radius()) as f32;
             let max_stretch = max_stretch as f32;
             let config = VelocityConfig { gain_per_speed, max_stretch, floor: resolved_radius(settings) };
             numbers(count, attributes, "velocity", 3)
@@ -339,7 +339,7 @@ pub(super) fn scales(
 ) -> Option<Vec<f32>> {
     let radii = numbers(count, attributes, &own.attribute, 1)?;
     let RadiusScales { mut scales, raised_count, invalid_count } =
-        radius_scales(&radii, own.scale, settings.radius_min, resolved_radius(settings));
+        radius_scales(&radii, own.scale, settings.unit_radius(), resolved_radius(settings));
     shape_stats.small_radius_count = raised_count;
     if raised_count > 0 {
         shape_stats.small_radius_min = own.radii_min(attributes).into_iter().reduce(f64::min).unwrap_or(0.0);
@@ -370,7 +370,7 @@ fn neighbor_config(settings: &Settings) -> NeighborConfig {
     let own_spacing = settings
         .per_particle_radius
         .as_ref()
-        .map_or(1.0, |own| (2.0 * settings.radius_min / (own.scale * settings.spacing)) as f32);
+        .map_or(1.0, |own| (2.0 * settings.unit_radius() / (own.scale * settings.spacing)) as f32);
     NeighborConfig {
         radius_world: settings.neighbor_radius,
         weight_scale,
@@ -379,23 +379,42 @@ fn neighbor_config(settings: &Settings) -> NeighborConfig {
     }
 }
 
-/// How neighbors stretch particles, if at all.
+/// How neighbors shape particles, if at all.
 fn stretch(settings: &Settings) -> Option<Stretch> {
-    let in_radii = |radius: f64| (radius / settings.radius_min) as f32;
+    let per_voxel = (settings.spacing / settings.voxel_size) as f32;
+    let kernels = (settings.start == Start::Kernels).then(|| KernelConfig {
+        per_reach: (settings.neighbor_radius / settings.radius_max) as f32,
+        room_least: ROOM_LEAST * per_voxel,
+        room_most: (settings.room() / settings.voxel_size) as f32,
+    });
     match settings.anisotropy {
-        Anisotropy::Neighbors { max_stretch, thin_radius, lone_radius } => Some(Stretch {
-            max_stretch: max_stretch as f32,
-            floor: in_radii(thin_radius),
-            lone: in_radii(lone_radius),
-            lone_floor: resolved_radius(settings),
-            // The surface of spray is that of its balls: drops that come close do not merge before they touch,
-            // and smoothing does not move them.
-            lone_shares: [settings.radius_init, settings.radius_max]
-                .map(|radius| (settings.radius_min / radius) as f32),
-        }),
-        Anisotropy::None | Anisotropy::Velocity { .. } => None,
+        Anisotropy::Neighbors { max_stretch } => {
+            Some(Stretch { max_stretch: max_stretch as f32, floor: thinnest(settings), kernels })
+        }
+        // Without company, particles keep their shapes.
+        Anisotropy::None | Anisotropy::Velocity { .. } => {
+            kernels.map(|_| Stretch { max_stretch: 1.0, floor: resolved_radius(settings), kernels })
+        }
     }
 }
+
+/// How far the surface may move inward from its start where fluid is thin, in spacings: hardly, or drops and
+/// sheets would shrink.
+const ROOM_LEAST: f32 = 0.03;
+
+/// The smallest semi-axis of a particle flattened by its neighbours, in units of the settings' radii.
+fn thinnest(settings: &Settings) -> f32 {
+    match settings.start {
+        Start::Spheres => resolved_radius(settings),
+        Start::Kernels => {
+            ((THIN_MIN_VOXELS * settings.voxel_size / settings.unit_radius()) as f32).min(LONE_SCALE)
+        }
+    }
+}
+
+/// The smallest semi-axis of a flattened particle, in units of h. The two sides of a sheet are then 1.8
+/// voxels apart.
+const THIN_MIN_VOXELS: f64 = 0.9;
 
 /// The limits of a particle's company are sums of weights within this distance, in spacings.
 const COMPANY_RADIUS: f64 = 2.6;
@@ -403,14 +422,12 @@ const COMPANY_RADIUS: f64 = 2.6;
 /// Radius of the smallest ball that the grid resolves wherever it is, √3 voxels, in units of the settings'
 /// radii. No semi-axis of a ball, or of a particle stretched by velocity, is shorter.
 fn resolved_radius(settings: &Settings) -> f32 {
-    (3f64.sqrt() * settings.voxel_size / settings.radius_min) as f32
+    (settings.start.resolved_voxels() * settings.voxel_size / settings.unit_radius()) as f32
 }
 
 /// Lower bound of all semi-axes, in units of the settings' radii, also at a particle's own r_init.
 pub(super) fn min_scale(settings: &Settings) -> f32 {
-    let resolved = resolved_radius(settings);
-    // The semi-axes of spray are resolved, and shortest at its r_init; all others are at least the floor.
-    stretch(settings).map_or(resolved, |stretch| (resolved * stretch.lone_shares[0]).min(stretch.floor))
+    stretch(settings).map_or(resolved_radius(settings), |stretch| stretch.floor)
 }
 
 /// The semi-axis for which the width of the band is computed, in units of the settings' radii. It is the same
@@ -436,7 +453,7 @@ mod tests {
     use super::*;
     use crate::anisotropy::from_neighbors;
     use crate::obstacle::Obstacles;
-    use crate::options::{AnisotropyKind, MethodOptions};
+    use crate::options::{AnisotropyKind, MethodOptions, Preset};
     use crate::particles::Ellipsoid;
     use crate::reconstruction::changes::{move_double, rounded};
     use crate::reconstruction::{FrameSurface, reconstruct_shaped};
@@ -612,13 +629,18 @@ mod tests {
             let (source, shape_stats) = shape_particles(cloud(8), &settings);
             reconstructed(&source, shape_stats, &settings)
         };
-        let radius_min = Some(0.45.into());
-        let smoothed = surface(&MethodOptions { radius_min, ..choices()[1].clone() }).report.certificate;
+        let of = |choices: &MethodOptions| MethodOptions {
+            preset: Some(Preset::Fluid),
+            spacing: Some(1.0),
+            ..choices.clone()
+        };
+        let smoothed = surface(&of(&choices()[1])).report.certificate;
         let outside = smoothed.input_positions_outside.expect("moved");
         assert!(outside.count > 0 && outside.deepest > 0.0, "{outside:?}");
         assert!(outside.deepest < settings.neighbor_radius, "{outside:?}");
         assert!(smoothed.holds());
-        let given = surface(&MethodOptions { radius_min, ..choices()[2].clone() }).report.certificate;
+        let given =
+            surface(&MethodOptions { position_smoothing: Some(0.0), ..of(&choices()[2]) }).report.certificate;
         assert_eq!(given.input_positions_outside, None);
     }
 

@@ -322,7 +322,7 @@ impl TiledFields {
     ) -> Result<(TiledFields, ReconstructionReport), StageError<Unread>> {
         let occupancy = Occupancy::new(source, &scene.lattice)?;
         let half_width = scene.radii.half_width();
-        let surface_reach = scene.radii.init * occupancy.longest() + half_width;
+        let surface_reach = scene.radii.start_reach() * occupancy.longest() + half_width;
         let tiles = tiles_near(&occupancy, tile_leaves, surface_reach.ceil() as i32 + 1);
         let mut origins: Vec<IVec3> = Vec::new();
         let mut contact = ContactStats::default();

@@ -296,7 +296,7 @@ fn wave_stays_where_it_is() {
             }
         }
         let [alone, averaged] = squares.map(f64::sqrt);
-        assert!(averaged < 1.002 * alone && alone < 0.4, "{averaged} instead of {alone}");
+        assert!(averaged < 1.015 * alone && alone < 0.2, "{averaged} instead of {alone}");
     }
 }
 
@@ -337,7 +337,6 @@ fn far_changes_keep_the_averaged_surface() {
     let options = MethodOptions {
         spacing: Some(100.0),
         radius_min: Some(1.8.into()),
-        radius_init: Some(2.6.into()),
         laplacian_steps: Some(0),
         steps: Some(0),
         temporal: Some(1),
@@ -504,7 +503,7 @@ fn drops_that_appear_vanish_or_merge_stay_what_they_are() {
         let [without, with] = [alone(&middle), averaged(&middle, [Some(&beside), Some(&beside)])];
         assert_eq!(with.report.mesh.component_count, 2);
         let [before, after] = [drop_volume(&without), drop_volume(&with)];
-        assert!(before > 50 && before.abs_diff(after) * 50 <= before, "{before}, then {after}");
+        assert!(before > 40 && before.abs_diff(after) * 40 <= before, "{before}, then {after}");
     }
 }
 

@@ -145,7 +145,13 @@ impl Kernel for PieceChecks<'_> {
                     inside_min_bits: V::bits(nearest.lt(V::splat(nearest_allowed))),
                     within_max_bits: !V::bits(V::splat(farthest_allowed).lt(nearest)),
                 },
-                Some(shaped) => shaped.sides::<V>(&near, &points, &limits),
+                Some(shaped) => {
+                    let mut sides = shaped.sides::<V>(&near, &points, &limits.of_shapes());
+                    if limits.has_balls {
+                        sides.inside_min_bits = V::bits(nearest.lt(V::splat(nearest_allowed)));
+                    }
+                    sides
+                }
             };
             let mut distances = [0.0; GROUP_SIZE];
             nearest.store(&mut distances);
@@ -279,7 +285,7 @@ impl Kernel for InsideOne<'_> {
         let is_inside = match shaped {
             None => V::bits(near.distances::<V>(bins, points).lt(V::splat(radius))),
             Some(shaped) => {
-                let limits = DistanceLimits { radii: [radius; 2], from_spheres: [0.0; 2] };
+                let limits = DistanceLimits { radii: [radius; 2], from_spheres: [0.0; 2], has_balls: false };
                 shaped.sides::<V>(near, points, &limits).inside_min_bits
             }
         };
@@ -331,7 +337,7 @@ const SLACK: f32 = 2e-3;
 /// The step from a position to the bound that it violates; `None` if it violates none.
 fn step(part: &CheckedRegion, near: &NearLeaves, point: Vec3) -> Option<Vec3> {
     let CheckedRegion { bins, radii, rounding_voxels, .. } = *part;
-    let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max] } =
+    let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max], has_balls } =
         DistanceLimits::new(&radii).with_margin(CELL_MARGIN);
     let slack = SLACK + rounding_voxels;
     let (mut deepest, mut nearest) = ((f32::INFINITY, Vec3::ZERO), (f32::INFINITY, Vec3::ZERO));
@@ -345,8 +351,13 @@ fn step(part: &CheckedRegion, near: &NearLeaves, point: Vec3) -> Option<Vec3> {
                 continue;
             }
             let ([to_min, to_max], outward) = distances_and_outward(&bins.shapes, index, apart, [min, max]);
-            if to_min < deepest.0 {
-                deepest = (to_min, outward);
+            let of_min = if has_balls {
+                (apart.length() - min, apart.normalize_or(Vec3::X))
+            } else {
+                (to_min, outward)
+            };
+            if of_min.0 < deepest.0 {
+                deepest = of_min;
             }
             if to_max < nearest.0 {
                 nearest = (to_max, outward);

@@ -39,7 +39,7 @@ pub use mesh_cells::MeshCells;
 use crate::level_set::NarrowBand;
 use crate::mesh::{Mesh, MeshMeasures};
 use crate::parallel::Loops as _;
-use crate::rasterize::{ParticleBins, Radii};
+use crate::rasterize::{ParticleBins, Radii, Start};
 use crate::space::{CoordBox, Lattice};
 use crate::words::pluralize;
 
@@ -211,11 +211,26 @@ struct DistanceLimits {
     radii: [f32; 2],
     /// The smallest offset from the inner spheres and the largest from the outer ones, outward, in voxels.
     from_spheres: [f32; 2],
+    /// Whether the inner spheres are equal balls, whatever shapes the particles have.
+    has_balls: bool,
 }
 
 impl DistanceLimits {
     fn new(radii: &Radii) -> DistanceLimits {
-        DistanceLimits { radii: [radii.min, radii.max], from_spheres: [radii.offset, radii.outward()] }
+        DistanceLimits {
+            radii: [radii.min, radii.max],
+            from_spheres: [radii.offset, radii.outward()],
+            has_balls: radii.start == Start::Kernels,
+        }
+    }
+
+    /// The limits that the shapes of particles set.
+    fn of_shapes(self) -> DistanceLimits {
+        if !self.has_balls {
+            return self;
+        }
+        let [[_, max], [_, from_max]] = [self.radii, self.from_spheres];
+        DistanceLimits { radii: [0.0, max], from_spheres: [f32::NEG_INFINITY, from_max], ..self }
     }
 
     /// The distance limits from particle centres, if all semi-axes are 1.

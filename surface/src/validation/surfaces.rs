@@ -44,7 +44,7 @@ impl<'a> ShapedParticles<'a> {
         points: &PointGroup,
         limits: &DistanceLimits,
     ) -> Sides {
-        let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max] } = *limits;
+        let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max], .. } = *limits;
         // Distances beyond these do not matter.
         let beyond = [from_max, from_min.max(0.0)];
         let mut sides = Sides { inside_min_bits: 0, within_max_bits: 0 };
@@ -195,15 +195,9 @@ fn distances(shapes: &Shapes, index: usize, apart: Vec3, radii: [f32; 2]) -> [f3
             let (q, slope) = (on_ball.length(), ellipsoid.apply(on_ball).length());
             // At the centre the direction is undefined: any direction will do.
             let scale = if slope > 0.0 { q / slope } else { ellipsoid.longest };
-            own_radii(ellipsoid, radii).map(|radius| (q - radius) * scale)
+            radii.map(|radius| (q - radius) * scale)
         }
     }
-}
-
-/// r_min and r_max of an ellipsoid, from those of the settings.
-#[inline(always)]
-fn own_radii(ellipsoid: &Ellipsoid, [min, max]: [f32; 2]) -> [f32; 2] {
-    [min, ellipsoid.max * max]
 }
 
 /// The same distances for several points.
@@ -223,7 +217,7 @@ fn distances_in_lanes<V: Lanes>(shapes: &Shapes, index: usize, apart: [V; 3], ra
             let slope = length_squared(apply(ellipsoid, on_ball)).sqrt();
             // At the centre the direction is undefined: any direction will do.
             let scale = V::select(V::splat(0.0).lt(slope), q.div(slope), V::splat(ellipsoid.longest));
-            own_radii(ellipsoid, radii).map(|radius| q.sub(V::splat(radius)).mul(scale))
+            radii.map(|radius| q.sub(V::splat(radius)).mul(scale))
         }
     }
 }

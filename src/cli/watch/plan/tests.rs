@@ -164,12 +164,12 @@ fn duplicate_watch_is_refused() {
 
 #[test]
 fn invalid_options_are_refused() {
-    let bench = Bench::new("[[watch]]\ninput = \"a\"\noutput = \"o\"\nradius_ratio = 0.5\n");
-    bench.refused(&[], &["meniscus.toml:1: [[watch]]: ", "radius ratio is 0.5"]);
-    assert!(bench.plan(&["--radius-ratio", "1.5"]).is_ok());
+    let bench = Bench::new("[[watch]]\ninput = \"a\"\noutput = \"o\"\nblend = \"65h\"\n");
+    bench.refused(&[], &["meniscus.toml:1: [[watch]]: ", "blend 65h is "]);
+    assert!(bench.plan(&["--blend", "2d"]).is_ok());
     for (options, words) in [
         (&["--voxel-size", "-1"][..], &["in: ", "voxel size"][..]),
-        (&["--radius-min", "0.1", "--radius-init", "5"], &["r_init is 5"]),
+        (&["--radius-ratio", "0.5", "--preset", "paper"], &["radius ratio is 0.5"]),
         (&["--pattern", "a[", "--out", "o"], &["`a[` is not a valid pattern"]),
         (&["--sentinel", ""], &["sentinel"]),
         (&["--sentinel", "../{stem}"], &["beside the frame"]),
@@ -199,7 +199,7 @@ fn errors_name_the_line_of_the_block() {
         ("stage = \"s.usda\"", &["--stage plays", "add usdc to --format"][..]),
         ("clip = \"1,1,1,0,0,0\"", &["the box"]),
         ("pattern = \"a[\"", &["not a valid pattern"]),
-        ("radius_ratio = 0.5\npreset = \"granular\"", &["radius ratio is 0.5"]),
+        ("blend = \"65h\"\npreset = \"granular\"", &["blend 65h is "]),
         ("sentinel = \"../a\"", &["beside the frame"]),
         #[cfg(unix)]
         ("obstacles = [\"none.obj\", \"/dev/zero\"]", &["obstacle /dev/zero: not a regular file: a device"]),

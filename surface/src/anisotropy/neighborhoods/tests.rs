@@ -5,6 +5,7 @@ use rayon::ThreadPoolBuilder;
 
 use super::*;
 use crate::anisotropy::longest_bound;
+use crate::particles::LONE_SCALE;
 
 /// The shape and position settings of a test frame.
 #[derive(Clone, Copy)]
@@ -33,7 +34,7 @@ fn from_neighbors(particles: &OwnedPositions, scales: Option<&[f32]>, config: &C
 
 fn shaped(particles: &OwnedPositions, scales: Option<&[f32]>, config: &Config, level: SimdLevel) -> Whole {
     let &Config { radius_world, max_stretch, position_smoothing, floor } = config;
-    let stretch = Stretch { max_stretch, floor, lone: 1.0, lone_floor: floor, lone_shares: [1.0; 2] };
+    let stretch = Stretch { max_stretch, floor, kernels: None };
     // So small that scales do not change the company.
     let own_spacing = 0.1;
     let config = NeighborConfig { radius_world, weight_scale: 1.0, own_spacing, stretch: Some(stretch) };
@@ -345,13 +346,7 @@ fn results_do_not_depend_on_which_particles_are_wanted() {
         radius_world: 2.6,
         weight_scale: 1.0,
         own_spacing: 1.0,
-        stretch: Some(Stretch {
-            max_stretch: 4.0,
-            floor: 1e-3,
-            lone: 1.0,
-            lone_floor: 1e-3,
-            lone_shares: [1.0; 2],
-        }),
+        stretch: Some(Stretch { max_stretch: 4.0, floor: 1e-3, kernels: Some(KERNELS) }),
     };
     let all = super::from_neighbors(&particles, |_| true, None, &config);
     let is_wanted = |index: usize| index % 7 < 2 || index % 300 > 250;
@@ -363,31 +358,72 @@ fn results_do_not_depend_on_which_particles_are_wanted() {
     assert_eq!(found.collect::<Vec<_>>(), expected.collect::<Vec<_>>());
 }
 
-/// Company is counted within the same distance whatever the radius, and frees r_init and r_max.
-#[test]
-fn spray_has_tighter_radii_at_any_search_radius() {
-    let stretch =
-        Stretch { max_stretch: 4.0, floor: 1e-3, lone: 1.0, lone_floor: 1e-3, lone_shares: [0.5, 0.25] };
-    // A body, a thread, whose company is between none and full, and a lone particle.
+const KERNELS: KernelConfig = KernelConfig { per_reach: 1.3, room_least: 0.1, room_most: 1.4 };
+
+/// The shapes of the particles at these places of a frame with a body, a thread, a sheet and a lone particle.
+fn kernel_shapes(radius_world: f64) -> [Ellipsoid; 4] {
     let mut points = lattice([5, 5, 5], 0.0);
+    let body = points.iter().position(|point| *point == DVec3::ZERO).expect("the middle");
+    let lone = points.len();
     points.push(DVec3::splat(30.0));
     let thread = points.len() + 10;
     points.extend((0..20).map(|index| DVec3::new(f64::from(index), 50.0, 0.0)));
-    let radii = |radius_world: f64| {
-        let weight_scale = (2.6 / radius_world).powi(3) as f32;
-        let config = NeighborConfig { radius_world, weight_scale, own_spacing: 1.0, stretch: Some(stretch) };
-        let found = super::from_neighbors(&double(&points), |_| true, None, &config);
-        let of = |wanted: usize| {
-            let slot = found.indices.iter().position(|&index| index as usize == wanted).expect("wanted");
-            [found.shapes[slot].init, found.shapes[slot].max]
-        };
-        [of(points.iter().position(|point| *point == DVec3::ZERO).expect("the middle")), of(1331), of(thread)]
+    let sheet = points.len() + 10 * 21 + 10;
+    points.extend((0..441).map(|index| DVec3::new(f64::from(index % 21), f64::from(index / 21), -50.0)));
+    let per_reach = (radius_world / 2.1) as f32;
+    let kernels = Some(KernelConfig { per_reach, ..KERNELS });
+    let config = NeighborConfig {
+        radius_world,
+        weight_scale: (2.6 / radius_world).powi(3) as f32,
+        own_spacing: 1.0,
+        stretch: Some(Stretch { max_stretch: 2.0, floor: 1e-3, kernels }),
     };
-    let ([body, lone, thread], [wide_body, wide_lone, wide_thread]) = (radii(2.6), radii(3.0));
-    assert_eq!([body, wide_body], [[1.0; 2]; 2]);
-    assert_eq!([lone, wide_lone], [[0.5, 0.25]; 2]);
-    for [init, max] in [thread, wide_thread] {
-        assert!((0.51..0.75).contains(&init) && (0.26..0.6).contains(&max), "{init}, {max}");
+    let found = super::from_neighbors(&double(&points), |_| true, None, &config);
+    [body, lone, thread, sheet].map(|wanted| {
+        let slot = found.indices.iter().position(|&index| index as usize == wanted).expect("wanted");
+        found.shapes[slot]
+    })
+}
+
+/// Thin fluid gives the surface little room, and a lone particle has all the weight of its kernel.
+#[test]
+fn kernels_have_weight_and_room_by_their_company() {
+    for radius_world in [2.6, 3.0] {
+        let [body, lone, thread, sheet] = kernel_shapes(radius_world);
+        assert!((1.35..=1.4).contains(&body.room), "{body:?}");
+        assert_eq!((lone.room, lone.weight), (0.1, 1.0));
+        assert!((lone.longest - LONE_SCALE).abs() < 1e-6 && (body.longest - 1.0).abs() < 1e-3);
+        assert!(thread.room == 0.1 && sheet.room < 0.2, "{thread:?}, {sheet:?}");
+        let [heaviest, lightest] = [thread, body].map(|shape| shape.weight);
+        assert!((0.3..0.9).contains(&heaviest) && (0.1..0.4).contains(&lightest), "{heaviest} {lightest}");
+    }
+}
+
+/// The weight is one over the sum of the kernels at the particle, computed here from their definition.
+#[test]
+fn weights_normalize_the_sum_of_kernels() {
+    let points = lattice([4, 4, 4], 0.3);
+    let config = NeighborConfig {
+        radius_world: 2.8,
+        weight_scale: 1.0,
+        own_spacing: 1.0,
+        stretch: Some(Stretch { max_stretch: 1.0, floor: 1e-3, kernels: Some(KERNELS) }),
+    };
+    let scales: Vec<f32> = (0..points.len()).map(|index| 1.0 + 0.1 * (index % 3) as f32).collect();
+    for level in SimdLevel::ALL {
+        let found = neighbor_shapes(&double(&points), |_| true, Some(&scales), &config, level);
+        for (slot, &index) in found.indices.iter().enumerate() {
+            let shape = found.shapes[slot];
+            let own_reach = 2.8 / 1.3 * f64::from(shape.longest);
+            let kernel = |(other, point): (usize, &DVec3)| {
+                let apart = points[index as usize].distance(*point);
+                let size = f64::from(scales[other] / scales[index as usize]);
+                let left = (1.0 - (apart / (own_reach * size)).powi(2)).max(0.0);
+                if apart < 2.8 { left.powi(4) } else { 0.0 }
+            };
+            let sum: f64 = points.iter().enumerate().map(kernel).sum();
+            assert!((f64::from(shape.weight) * sum - 1.0).abs() < 1e-4, "{sum}, {shape:?}");
+        }
     }
 }
 

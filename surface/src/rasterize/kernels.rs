@@ -1,0 +1,185 @@
+//! The smooth start: the level of a sum of normalized kernels, and bounds around it.
+//!
+//! ```text
+//!    F      ╭──╮        F(x) = Σ w K(q), q = |T(x − p)| / r_max
+//!          ╱    ╲
+//!   ─ ─ ─ ╱─ ─ ─ ╲─ ─   the level: the initial surface
+//!   ─────╯        ╰──
+//! ```
+//!
+//! A particle's weight w is one over the sum of the kernels at the particle, its own included. So F is about 1
+//! in a body, and reaches the level at the same distance from every lone particle; near particles share a
+//! smooth waist.
+//!
+//! F falls from 1 to 0 along a curve. Solving K(q) = F for q makes it a line: around a lone particle, φ̃ =
+//! r_max (q(F) − q(level)) is the distance. Dividing φ̃ by the length of its gradient, which is one Newton
+//! step, gives the distance of the voxels next to the surface everywhere; the others are swept.
+//!
+//! The surface may leave its start outward by a fixed room, where a kernel reaches, and inward by the room that
+//! the particles around it give: hardly where fluid is thin, more at bodies. No particle comes outside: a small
+//! ball around it stays inside.
+//!
+//! This is based on:
+//! Jihun Yu and Greg Turk. Reconstructing surfaces of particle-based fluids using anisotropic kernels. 2013
+//! Yongning Zhu and Robert Bridson. Animating sand as a fluid. 2005
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::distances::OUT_OF_REACH;
+use super::ellipsoid::{
+    NearbyLeaf, ParticleShape, RowForm, Unions, bits_of, length_squared, offsets, voxels_within,
+};
+use crate::grid::{Field, Leaf, LeafMask, ROW_COUNT, SetBits};
+use crate::parallel::Loops as _;
+use crate::particles::{Ellipsoid, LEVEL_AT, inverse_kernel, kernel};
+use crate::simd::{self, Kernel, Lanes};
+
+/// No point of the initial surface is farther from the nearest particle, in units of its kernel's reach.
+pub(super) const REACH: f32 = 0.8;
+
+/// The room at voxels that are certainly inside, in voxels: more than bounds reach. Their distance to the
+/// nearest centre is not computed, either: it is a large number, which sets no bound.
+const SETTLED_ROOM: f32 = 4.0;
+
+/// The kernel of one particle.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct KernelShape {
+    ellipsoid: Ellipsoid,
+    row_form: RowForm,
+    is_ball: bool,
+}
+
+impl KernelShape {
+    pub(super) fn new(ellipsoid: Ellipsoid) -> KernelShape {
+        let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_unit_ball;
+        let is_ball = xx == yy && yy == zz && [xy, xz, yz] == [0.0; 3];
+        KernelShape { row_form: RowForm::of(&ellipsoid), is_ball, ellipsoid }
+    }
+}
+
+/// Sums over the particles that were added.
+pub(super) struct KernelSums {
+    settled: LeafMask,
+    /// The squared distance to the nearest centre.
+    nearest: Leaf,
+    /// Σ w K.
+    value: Leaf,
+    /// Σ w K times the room inward.
+    room: Leaf,
+}
+
+impl ParticleShape for KernelShape {
+    #[inline(always)]
+    fn longest(&self) -> f32 {
+        self.ellipsoid.longest
+    }
+
+    fn shortest(&self) -> f32 {
+        self.ellipsoid.inner_radius()
+    }
+
+    fn extents(&self, outermost: f32) -> Vec3 {
+        outermost * self.ellipsoid.extents()
+    }
+
+    type State = KernelSums;
+
+    #[inline(always)]
+    fn start<V: Lanes>(_: &Unions, settled: &LeafMask, _: &[NearbyLeaf<KernelShape>]) -> KernelSums {
+        let zero = Leaf::splat(0.0);
+        KernelSums { settled: *settled, nearest: Leaf::splat(OUT_OF_REACH), value: zero, room: zero }
+    }
+
+    #[inline(always)]
+    fn add<V: Lanes>(&self, unions: &Unions, sums: &mut KernelSums, center: Vec3, extents: Vec3) {
+        let KernelShape { ellipsoid: Ellipsoid { to_unit_ball, weight, room, .. }, row_form, is_ball } = self;
+        let per_reach = 1.0 / unions.radii[0];
+        let reach_squared = V::splat(unions.radii[0] * unions.radii[0]);
+        let [xx, yy, zz, xy, xz, yz] = to_unit_ball.map(|entry| entry * per_reach);
+        let dz = offsets::<V>(center.z);
+        let (along_x, along_y, along_z) = (V::splat(xz).mul(dz), V::splat(yz).mul(dz), V::splat(zz).mul(dz));
+        let dz_squared = dz.mul(dz);
+        let one = V::splat(1.0);
+        let [of_value, of_room] = [*weight, weight * room].map(V::splat);
+        let dy_of_rows = offsets::<V>(center.y);
+        let is_within_y = bits_of(voxels_within(center.y, extents.y));
+        for x in voxels_within(center.x, extents.x) {
+            let dx = x as f32 - center.x;
+            let is_beyond = V::bits(reach_squared.lt(row_form.least_squared::<V>(dx, dy_of_rows)));
+            for y in SetBits(is_within_y & !is_beyond) {
+                let (row, dy) = (x * 8 + y, y as f32 - center.y);
+                if sums.settled.row(row) == u8::MAX {
+                    continue;
+                }
+                let apart_squared = V::splat(dx * dx + dy * dy).add(dz_squared);
+                let q_squared = if *is_ball {
+                    apart_squared.mul(V::splat(xx * xx))
+                } else {
+                    let at = Vec3::new(xx * dx + xy * dy, xy * dx + yy * dy, xz * dx + yz * dy);
+                    let (tx, ty) = (V::splat(at.x).add(along_x), V::splat(at.y).add(along_y));
+                    length_squared(tx, ty, V::splat(at.z).add(along_z))
+                };
+                let kernel = kernel(one.sub(q_squared));
+                let [nearest, value, room] =
+                    [&mut sums.nearest, &mut sums.value, &mut sums.room].map(|leaf| leaf.row_mut(row));
+                apart_squared.min(V::load(nearest)).store(nearest);
+                V::load(value).add(kernel.mul(of_value)).store(value);
+                V::load(room).add(kernel.mul(of_room)).store(room);
+            }
+        }
+    }
+
+    /// Writes the distance to the nearest centre, φ̃, and the room inward.
+    #[inline(always)]
+    fn finish<V: Lanes>(unions: &Unions, sums: &KernelSums, [nearest, start, room]: [&mut Leaf; 3]) {
+        let (reach, level_at) = (V::splat(unions.radii[0]), V::splat(LEVEL_AT));
+        for row in 0..ROW_COUNT {
+            let is_settled = V::mask(sums.settled.row(row));
+            let value = V::select(is_settled, V::splat(1.0), V::load(sums.value.row(row)));
+            let squared = V::select(is_settled, V::splat(f32::MAX), V::load(sums.nearest.row(row)));
+            squared.sqrt().store(nearest.row_mut(row));
+            inverse_kernel(value).sub(level_at).mul(reach).store(start.row_mut(row));
+            let mean = V::load(sums.room.row(row)).div(value.max(V::splat(f32::MIN_POSITIVE)));
+            V::select(is_settled, V::splat(SETTLED_ROOM), mean).store(room.row_mut(row));
+        }
+    }
+}
+
+/// The bounds around the start φ, from the distances to the nearest centre and the room inward. Outward, the
+/// surface may move by `outward` voxels where a kernel reaches. No voxel within `ball` voxels of a particle
+/// is outside.
+pub(super) fn bounds(phi: &Field, nearest: Field, room: Field, [outward, ball]: [f32; 2]) -> [Field; 2] {
+    let (mut lower, mut upper) = (nearest, room);
+    let bounds = lower.leaves.par_iter_mut().zip(&mut upper.leaves);
+    phi.leaves.par_iter().zip(bounds).halved().for_each(|(phi, (lower, upper))| {
+        simd::dispatch(Deviation { phi, lower, upper, outward, ball });
+    });
+    [lower, upper]
+}
+
+/// Kernel: turns the distances to the nearest centre, and the room inward, of a leaf into bounds.
+struct Deviation<'a> {
+    phi: &'a Leaf,
+    lower: &'a mut Leaf,
+    upper: &'a mut Leaf,
+    outward: f32,
+    ball: f32,
+}
+
+impl Kernel for Deviation<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        let outward = V::splat(self.outward);
+        for row in 0..ROW_COUNT {
+            let phi = V::load(self.phi.row(row));
+            let (lower, upper) = (self.lower.row_mut(row), self.upper.row_mut(row));
+            let (nearest, room) = (V::load(lower), V::load(upper));
+            let is_reached = nearest.lt(V::splat(OUT_OF_REACH));
+            V::select(is_reached, phi.sub(outward), phi.max(V::splat(0.0))).store(lower);
+            phi.add(room).min(nearest.sub(V::splat(self.ball))).store(upper);
+        }
+    }
+}
