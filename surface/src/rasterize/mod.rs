@@ -88,7 +88,7 @@ pub enum Start {
     /// Three unions of spheres (paper, Eq. 1 and 2).
     #[default]
     Spheres,
-    /// The level of a sum of [kernels]. Each reaches to r_max.
+    /// The level of a sum of kernels. Each reaches to r_max.
     Kernels,
 }
 
