@@ -296,7 +296,7 @@ fn wave_stays_where_it_is() {
             }
         }
         let [alone, averaged] = squares.map(f64::sqrt);
-        assert!(averaged < 1.015 * alone && alone < 0.2, "{averaged} instead of {alone}");
+        assert!(averaged < 1.002 * alone && alone < 0.2, "{averaged} instead of {alone}");
     }
 }
 
@@ -503,7 +503,7 @@ fn drops_that_appear_vanish_or_merge_stay_what_they_are() {
         let [without, with] = [alone(&middle), averaged(&middle, [Some(&beside), Some(&beside)])];
         assert_eq!(with.report.mesh.component_count, 2);
         let [before, after] = [drop_volume(&without), drop_volume(&with)];
-        assert!(before > 40 && before.abs_diff(after) * 40 <= before, "{before}, then {after}");
+        assert!(before > 50 && before.abs_diff(after) * 50 <= before, "{before}, then {after}");
     }
 }
 
