@@ -24,21 +24,21 @@ class OptionValues(TypedDict, total=False):
     voxel_size : float | str
         Voxel edge length h, positive, in world units or particle spacings [default: 0.32d]
     blend : float | str
-        Distance up to which particles blend with others, 3.6h to 64h: larger is smoother and joins drops earlier; with all presets but paper [default: 2d, but no less than 3.6h]
+        Distance up to which particles blend with others, 2.92h to 64h: larger is smoother and joins drops earlier; with all presets but paper [default: 1.6d, but no less than 2.92h]
     radius_min : float | str
         Radius r_min of the spheres that the surface encloses, positive, for `preset` paper [default: √3·h]
     radius_ratio : float
         Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle, and r_max is at most 64h; for `preset` paper [default: 2]
     offset : float | str
-        Move the finished surface outward by this distance, -r_min to 2h; negative moves it inward [default: 0]
+        Move the finished surface outward by this distance, up to 2h; negative moves it inward, by at most the radius of a lone drop [default: 0]
     columns : str
         New names for columns of tables, each with a column by its name or its number from 1 on, such as x=centroid_x,y=centroid_y,z=centroid_z; the names x, y, z, vx, vy, vz, radius, diameter and id say what the columns mean
     where : str | Sequence[bool] | NDArray[np.bool_]
         Use only the particles whose attributes meet this condition, such as 'phase == 0' or 'type in 1,2 and not (density < 500)'; comparisons are ==, !=, <, <=, >, >=, in and not in
     radius_attribute : str
-        Attribute with each particle's own radius, in world units, such as pscale. That radius becomes its r_min; r_init and r_max scale with it
+        Attribute with each particle's own radius, in world units, such as pscale. A lone particle becomes a ball of this radius; its reach scales with it
     radius_scale : float
-        Factor from a particle's own radius to its r_min, positive [default: 1]
+        Factor from a particle's own radius to that of its ball, positive [default: 1]
     anisotropy : Literal["none", "neighbors", "velocity"]
         How to stretch particles, so that sheets and jets are thin and smooth [default: neighbors]
     max_stretch : float
@@ -46,7 +46,7 @@ class OptionValues(TypedDict, total=False):
     neighbor_radius : float | str
         Search radius for neighbours, positive and at most 200h [default: 2.8d]
     position_smoothing : float
-        Move particles near the surface toward the mean of their neighbours by this fraction of the distance, 0 to 1 [default: 0.4]
+        Move particles near the surface toward the mean of their neighbours by this fraction of the distance, 0 to 1 [default: 0.5]
     velocity_gain : float
         Stretch each particle along its velocity by how far it moves in this time, in units of its r_min; positive, only for `anisotropy` velocity [default: 0.01]
     void_threshold : float
@@ -82,11 +82,11 @@ class OptionValues(TypedDict, total=False):
     integrator : Literal["fast", "implicit", "explicit", "adaptive"]
         Time integrator of the smoothing [default: fast]
     laplacian_steps : int
-        Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are recomputed in their place [default: 1.6 (d/h)², 16 on the default grid]
+        Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0, distances are recomputed in their place [default: 1.5 (d/h)², 15 on the default grid]
     steps : int
         Number of biharmonic steps, 0 to 1000000 [default: 1; explicit, adaptive: as many as give the same total pseudo-time]
     step_size : float
-        Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.01 (d/h)⁴; explicit, adaptive: 0.01]
+        Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.006 (d/h)⁴; explicit, adaptive: 0.01]
     redistance_every : int
         Recompute distances after this many biharmonic steps, 1 to 1000000 [default: 1; explicit, adaptive: 50]
     """

@@ -283,7 +283,7 @@ fn each_cell_is_what_its_command_reads_and_measures() {
     // Without --vary, an option that is given is not varied.
     let result = meniscus(path, &[&tune[..], &["--laplacian-steps", "2"]].concat());
     assert_eq!(result.status, 0, "{}", result.err);
-    assert!(result.out.contains("3: position-smoothing 0.4 (as typed): "), "{}", result.out);
+    assert!(result.out.contains("3: position-smoothing 0.5 (as typed): "), "{}", result.out);
     assert_eq!(commands(&result.out).len(), 4);
 }
 

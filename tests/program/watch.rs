@@ -266,7 +266,7 @@ fn printed_settings_are_keys_of_a_file() {
         (&["--blend", "0.3", "--steps", "10"], &["blend = 0.3\n", "steps = 10\n", "up = \"y\"\n"]),
         (
             &["--preset", "preview", "--integrator", "explicit", "--format", "obj,vdb", "--quads"],
-            &["steps = 13\n", "quads = true\n", "step_size = 0.01\n"],
+            &["steps = 1\n", "quads = true\n", "step_size = 0.01\n"],
         ),
         (&["--format", "vdb"], &["formats = [\"vdb\"]\n"]),
         (&["--format", "obj,usdc", "--stage", "s.usda", "--fps", "30"], &["/s.usda\"\n", "fps = 30\n"]),

@@ -360,7 +360,7 @@ pub(in crate::cli) struct VariedOption {
 }
 
 /// What `tune` varies by itself.
-const DEFAULT: [&str; 2] = ["position-smoothing=0,0.2,0.4,0.6", "laplacian-steps=1,4,15,40"];
+const DEFAULT: [&str; 2] = ["position-smoothing=0,0.25,0.5,0.75", "laplacian-steps=1,4,15,40"];
 
 impl VariedOption {
     /// The name of the option's field.

@@ -27,7 +27,7 @@ use rayon::prelude::*;
 pub use neighborhoods::{KernelConfig, NeighborConfig, NeighborShapes, Stretch, from_neighbors};
 
 use crate::parallel::Loops as _;
-use crate::particles::{Ellipsoid, LONE_SCALE};
+use crate::particles::{BODY_SCALE, Ellipsoid, LONE_SCALE};
 use crate::simd::Lanes;
 use neighborhoods::MOMENT_COUNT;
 
@@ -233,13 +233,13 @@ const FLAT_NONE: f32 = 0.4;
 /// From this flatness of its neighbourhood on, a particle has the shape of its neighbourhood.
 const FLAT_FULL: f32 = 0.9;
 
-/// Between these weights of neighbours, the surface gets room to move inward: those of a drop of some dozens
-/// of particles, and of the plane surface of a body.
-const BODY_NONE: f32 = 12.0;
-const BODY_FULL: f32 = 24.0;
+/// Between these weights of neighbours, a particle becomes one at the surface of a body: from that of a drop of
+/// some dozens of particles to that of a plane surface.
+const BODY_NONE: f32 = 13.0;
+const BODY_FULL: f32 = 22.0;
 
-/// From this flatness of its neighbourhood on, a particle is in a sheet, which must not get thinner.
-const FLAT_BODY: f32 = 0.5;
+/// From this flatness of its neighbourhood on, a particle is in a sheet.
+const BODY_FLAT: f32 = 0.7;
 
 /// Added to each eigenvalue, in units of the squared radius. So many particles at one point give a ball, and
 /// not a shape that rounding errors determine. Then no semi-axis is more than about 50 times as long as
@@ -263,9 +263,9 @@ struct Surroundings<V> {
     /// The eigenvalues of their covariance, positive, and the eigenvectors.
     eigen: Eigen<V>,
     flatness: V,
-    /// The sum of the neighbours' weights, which counts more the flatter the neighbourhood is.
-    weight: V,
     company: V,
+    /// Whether the neighbours are a body: 0 in drops, threads and sheets, 1 at a plane surface.
+    body: V,
 }
 
 impl<V: Lanes> Surroundings<V> {
@@ -281,7 +281,9 @@ impl<V: Lanes> Surroundings<V> {
         let gain = V::splat(1.0).add(V::splat(FLAT_GAIN).mul(flatness));
         let weight = weight.mul(gain);
         let company = smooth_step(weight, COMPANY_NONE, COMPANY_FULL);
-        Surroundings { mean, eigen: Eigen { values: [a, b, c], vectors }, flatness, weight, company }
+        let is_curved = V::splat(1.0).sub(smooth_step(flatness, BODY_FLAT, FLAT_FULL));
+        let body = smooth_step(weight, BODY_NONE, BODY_FULL).mul(is_curved);
+        Surroundings { mean, eigen: Eigen { values: [a, b, c], vectors }, flatness, company, body }
     }
 
     /// x, y and z of the mean position of the neighbours times the company.
@@ -297,9 +299,13 @@ impl<V: Lanes> Surroundings<V> {
     /// The shapes of particles with these scales.
     #[inline(always)]
     fn shapes(&self, scales: &[f32; 8], limits: Stretch) -> Shapes8 {
-        let Surroundings { eigen, flatness, company, .. } = self;
-        let lone = if limits.kernels.is_some() { LONE_SCALE } else { 1.0 };
-        let scale = V::load(scales).mul(between(lone, 1.0, *company));
+        let Surroundings { eigen, flatness, company, body, .. } = self;
+        let mut scale = V::load(scales);
+        if let Some(KernelConfig { per_reach, .. }) = limits.kernels {
+            let size = between(LONE_SCALE, 1.0, *company).mul(between(1.0, BODY_SCALE, *body));
+            // A kernel is weighed by the neighbours, so it reaches no farther than they do.
+            scale = scale.mul(size.min(V::splat(per_reach)));
+        }
         let share = V::splat(if limits.max_stretch > 1.0 { 1.0 } else { 0.0 });
         let part = company.mul(smooth_step(*flatness, FLAT_NONE, FLAT_FULL)).mul(share);
         let half_axes = blended(limited(eigen.values, limits.max_stretch), part);
@@ -308,19 +314,11 @@ impl<V: Lanes> Surroundings<V> {
         let mut shapes = ellipsoids(half_axes, eigen.vectors, V::bits(is_round));
         if let Some(kernels) = limits.kernels {
             let mut rooms = [0.0; 8];
-            self.room(kernels).store(&mut rooms);
+            between(kernels.room_least, kernels.room_most, *body).store(&mut rooms);
             shapes.iter_mut().zip(rooms).for_each(|(shape, room)| shape.room = room);
         }
         let balls = V::bits(V::not(V::splat(0.0).lt(*company)));
         Shapes8 { shapes, raised: V::bits(is_raised), balls }
-    }
-
-    /// How far the surface may move inward from its start, in voxels.
-    #[inline(always)]
-    fn room(&self, kernels: KernelConfig) -> V {
-        let body = smooth_step(self.weight, BODY_NONE, BODY_FULL);
-        let curved = V::splat(1.0).sub(smooth_step(self.flatness, FLAT_BODY, FLAT_FULL));
-        between(kernels.room_least, kernels.room_most, body.mul(curved))
     }
 }
 

@@ -434,7 +434,7 @@ fn kernels_of<V: Lanes>(particles: &ParticlePacket, at: Vec3, shape: [f32; 6], s
     let tz = xz.mul(x).add(yz.mul(y)).add(zz.mul(z));
     let q_squared = tx.mul(tx).add(ty.mul(ty)).add(tz.mul(tz));
     let size = V::load(sizes);
-    kernel(V::splat(1.0).sub(q_squared.mul(size.mul(size)))).mul(V::load(&particles.multiplicity))
+    kernel(q_squared.mul(size.mul(size))).mul(V::load(&particles.multiplicity))
 }
 
 #[inline(always)]

@@ -45,7 +45,7 @@ impl Seams {
 
 /// How much more than usual a coordinate of particles of one chart may differ. That of a linear function differs by 2.5
 /// times as much as it [usually](USUAL) does between particles along its gradient.
-const JUMP: f32 = 4.0;
+const JUMP: f32 = 4.5;
 
 /// The usual difference is that of this fraction of the particles around a particle. It is below one half, because almost
 /// half of the particles around one at a seam belong to another chart.

@@ -92,8 +92,8 @@ method_options! {
             voxel_size: Length,
         }
         Surface {
-            /// Distance up to which particles blend with others, 3.6h to 64h: larger is smoother and joins drops
-            /// earlier; with all presets but paper [default: 2d, but no less than 3.6h]
+            /// Distance up to which particles blend with others, 2.92h to 64h: larger is smoother and joins drops
+            /// earlier; with all presets but paper [default: 1.6d, but no less than 2.92h]
             #[value(named("LENGTH"))]
             blend: Length => [OptionName::with_value("preset", "fluid")], |options, _| options.start() == Start::Kernels,
 
@@ -106,8 +106,8 @@ method_options! {
             #[value(named("RATIO"))]
             radius_ratio: f64 => [OptionName::with_value("preset", "paper")], |options, _| options.start() == Start::Spheres,
 
-            /// Move the finished surface outward by this distance, -r_min to 2h; negative moves it inward
-            /// [default: 0]
+            /// Move the finished surface outward by this distance, up to 2h; negative moves it inward, by at most the
+            /// radius of a lone drop [default: 0]
             #[value(named("LENGTH").signed())]
             offset: Length,
         }
@@ -124,11 +124,11 @@ method_options! {
             r#where: ParticleFilter,
 
             /// Attribute with each particle's own radius, in world units, such as pscale.
-            /// That radius becomes its r_min; r_init and r_max scale with it
+            /// A lone particle becomes a ball of this radius; its reach scales with it
             #[value(named("NAME"))]
             radius_attribute: String,
 
-            /// Factor from a particle's own radius to its r_min, positive [default: 1]
+            /// Factor from a particle's own radius to that of its ball, positive [default: 1]
             #[value(named("FACTOR"))]
             radius_scale: f64 => [OptionName::new("radius_attribute")], |options, _| options.radius_attribute.is_some(),
 
@@ -149,7 +149,7 @@ method_options! {
                 |options, _| options.uses_neighbors(),
 
             /// Move particles near the surface toward the mean of their neighbours by this fraction of the
-            /// distance, 0 to 1 [default: 0.4]
+            /// distance, 0 to 1 [default: 0.5]
             #[value(named("FRACTION"))]
             position_smoothing: f64 in 0.0..=1.0,
 
@@ -266,7 +266,7 @@ method_options! {
             integrator: Integrator,
 
             /// Number of Laplacian steps before the biharmonic ones, 0 to 1000000; with 0,
-            /// distances are recomputed in their place [default: 1.6 (d/h)², 16 on the default grid]
+            /// distances are recomputed in their place [default: 1.5 (d/h)², 15 on the default grid]
             #[value(named("N"))]
             laplacian_steps: u32 in 0..=STEPS_MAX,
 
@@ -275,7 +275,7 @@ method_options! {
             #[value(named("N"))]
             steps: u32 in 0..=STEPS_MAX,
 
-            /// Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.01
+            /// Size of a biharmonic step in pseudo-time, in units of h⁴, 1e-6 to 10000 [default: 0.006
             /// (d/h)⁴; explicit, adaptive: 0.01]
             #[value(named("TIME"))]
             step_size: f64 in STEP_SIZE_MIN..=STEP_SIZE_MAX,

@@ -91,15 +91,15 @@ const PAPER: Recipe = Recipe {
 const FLUID: Recipe = Recipe {
     unit: Unit::Spacing,
     voxel_size: 0.32,
-    blend: Some(2.0),
+    blend: Some(1.6),
     anisotropy: AnisotropyKind::Neighbors,
     neighbor_radius: Some(2.8),
-    position_smoothing: 0.4,
+    position_smoothing: 0.5,
     fill_cavities: 25.0,
-    laplacian_steps: 1.6,
+    laplacian_steps: 1.5,
     steps: 1,
-    step_size: 0.01,
-    explicit_time: 0.01,
+    step_size: 0.006,
+    explicit_time: 0.006,
     refine: true,
 };
 
@@ -130,9 +130,9 @@ impl Preset {
         match self {
             Preset::Fluid => FLUID,
             Preset::Noisy => Recipe {
-                blend: Some(2.8),
+                blend: Some(1.8),
                 neighbor_radius: Some(3.0),
-                position_smoothing: 0.5,
+                position_smoothing: 0.45,
                 laplacian_steps: 2.0,
                 ..FLUID
             },
@@ -140,20 +140,13 @@ impl Preset {
             Preset::Granular => Recipe {
                 voxel_size: 0.4,
                 anisotropy: AnisotropyKind::None,
-                neighbor_radius: Some(2.6),
-                position_smoothing: 0.4,
-                step_size: 0.125,
-                explicit_time: 0.125,
+                position_smoothing: 0.3,
+                laplacian_steps: 1.0,
                 ..FLUID
             },
-            Preset::Preview => Recipe {
-                voxel_size: 1.0,
-                anisotropy: AnisotropyKind::None,
-                position_smoothing: 0.0,
-                step_size: 0.125,
-                explicit_time: 0.125,
-                ..FLUID
-            },
+            Preset::Preview => {
+                Recipe { voxel_size: 1.0, anisotropy: AnisotropyKind::None, position_smoothing: 0.0, ..FLUID }
+            }
             Preset::Paper => PAPER,
             // Before the particles are measured, and where they are too few for that.
             Preset::Auto => Preset::for_fluid(None).recipe(),

@@ -26,6 +26,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
+use super::BOUND_REACH;
 use super::distances::OUT_OF_REACH;
 use super::ellipsoid::{
     NearbyLeaf, ParticleShape, RowForm, Unions, bits_of, length_squared, offsets, voxels_within,
@@ -36,7 +37,7 @@ use crate::particles::{Ellipsoid, LEVEL_AT, inverse_kernel, kernel};
 use crate::simd::{self, Kernel, Lanes};
 
 /// No point of the initial surface is farther from the nearest particle, in units of its kernel's reach.
-pub(super) const REACH: f32 = 0.8;
+pub(super) const REACH: f32 = 0.9;
 
 /// The room at voxels that are certainly inside, in voxels: more than bounds reach. Their distance to the
 /// nearest centre is not computed, either: it is a large number, which sets no bound.
@@ -61,7 +62,7 @@ impl KernelShape {
 /// Sums over the particles that were added.
 pub(super) struct KernelSums {
     settled: LeafMask,
-    /// The squared distance to the nearest centre.
+    /// The squared distance to the nearest centre, where it is small enough for a bound.
     nearest: Leaf,
     /// Σ w K.
     value: Leaf,
@@ -88,7 +89,7 @@ impl ParticleShape for KernelShape {
     #[inline(always)]
     fn start<V: Lanes>(_: &Unions, settled: &LeafMask, _: &[NearbyLeaf<KernelShape>]) -> KernelSums {
         let zero = Leaf::splat(0.0);
-        KernelSums { settled: *settled, nearest: Leaf::splat(OUT_OF_REACH), value: zero, room: zero }
+        KernelSums { settled: *settled, nearest: Leaf::splat(f32::MAX), value: zero, room: zero }
     }
 
     #[inline(always)]
@@ -100,7 +101,6 @@ impl ParticleShape for KernelShape {
         let dz = offsets::<V>(center.z);
         let (along_x, along_y, along_z) = (V::splat(xz).mul(dz), V::splat(yz).mul(dz), V::splat(zz).mul(dz));
         let dz_squared = dz.mul(dz);
-        let one = V::splat(1.0);
         let [of_value, of_room] = [*weight, weight * room].map(V::splat);
         let dy_of_rows = offsets::<V>(center.y);
         let is_within_y = bits_of(voxels_within(center.y, extents.y));
@@ -112,33 +112,41 @@ impl ParticleShape for KernelShape {
                 if sums.settled.row(row) == u8::MAX {
                     continue;
                 }
-                let apart_squared = V::splat(dx * dx + dy * dy).add(dz_squared);
                 let q_squared = if *is_ball {
-                    apart_squared.mul(V::splat(xx * xx))
+                    V::splat(dx * dx + dy * dy).add(dz_squared).mul(V::splat(xx * xx))
                 } else {
                     let at = Vec3::new(xx * dx + xy * dy, xy * dx + yy * dy, xz * dx + yz * dy);
                     let (tx, ty) = (V::splat(at.x).add(along_x), V::splat(at.y).add(along_y));
                     length_squared(tx, ty, V::splat(at.z).add(along_z))
                 };
-                let kernel = kernel(one.sub(q_squared));
-                let [nearest, value, room] =
-                    [&mut sums.nearest, &mut sums.value, &mut sums.room].map(|leaf| leaf.row_mut(row));
-                apart_squared.min(V::load(nearest)).store(nearest);
+                let kernel = kernel(q_squared);
+                let [value, room] = [&mut sums.value, &mut sums.room].map(|leaf| leaf.row_mut(row));
                 V::load(value).add(kernel.mul(of_value)).store(value);
                 V::load(room).add(kernel.mul(of_room)).store(room);
             }
         }
+        let measured = unions.radii[2] + BOUND_REACH;
+        for x in voxels_within(center.x, measured) {
+            let dx = x as f32 - center.x;
+            for y in voxels_within(center.y, measured) {
+                let dy = y as f32 - center.y;
+                let nearest = sums.nearest.row_mut(x * 8 + y);
+                V::splat(dx * dx + dy * dy).add(dz_squared).min(V::load(nearest)).store(nearest);
+            }
+        }
     }
 
-    /// Writes the distance to the nearest centre, φ̃, and the room inward.
+    /// Writes the distance to the nearest centre, φ̃, and the room inward. The distance is infinite where no
+    /// kernel reaches, and large where it sets no bound.
     #[inline(always)]
     fn finish<V: Lanes>(unions: &Unions, sums: &KernelSums, [nearest, start, room]: [&mut Leaf; 3]) {
         let (reach, level_at) = (V::splat(unions.radii[0]), V::splat(LEVEL_AT));
         for row in 0..ROW_COUNT {
             let is_settled = V::mask(sums.settled.row(row));
             let value = V::select(is_settled, V::splat(1.0), V::load(sums.value.row(row)));
+            let is_reached = V::splat(0.0).lt(value);
             let squared = V::select(is_settled, V::splat(f32::MAX), V::load(sums.nearest.row(row)));
-            squared.sqrt().store(nearest.row_mut(row));
+            V::select(is_reached, squared.sqrt(), V::splat(OUT_OF_REACH)).store(nearest.row_mut(row));
             inverse_kernel(value).sub(level_at).mul(reach).store(start.row_mut(row));
             let mean = V::load(sums.room.row(row)).div(value.max(V::splat(f32::MIN_POSITIVE)));
             V::select(is_settled, V::splat(SETTLED_ROOM), mean).store(room.row_mut(row));
