@@ -24,7 +24,7 @@ class OptionValues(TypedDict, total=False):
     voxel_size : float | str
         Voxel edge length h, positive, in world units or particle spacings [default: 0.32d]
     blend : float | str
-        Distance up to which particles blend with others, 2.92h to 64h: larger is smoother and joins drops earlier; with all presets but paper [default: 1.6d, but no less than 2.92h]
+        Distance up to which particles blend with others, 3.09h to 64h: larger is smoother and joins drops earlier; with all presets but paper [default: 1.7d, but no less than 3.09h]
     radius_min : float | str
         Radius r_min of the spheres that the surface encloses, positive, for `preset` paper [default: √3·h]
     radius_ratio : float

@@ -233,10 +233,15 @@ const FLAT_NONE: f32 = 0.4;
 /// From this flatness of its neighbourhood on, a particle has the shape of its neighbourhood.
 const FLAT_FULL: f32 = 0.9;
 
-/// Between these weights of neighbours, a particle becomes one at the surface of a body: from that of a drop of
-/// some dozens of particles to that of a plane surface.
-const BODY_NONE: f32 = 13.0;
-const BODY_FULL: f32 = 22.0;
+/// Between these weights of neighbours, a particle becomes one at the surface of a body, also where its fluid is
+/// spread out; at a plane surface the weight is 26.
+const BODY_NONE: f32 = 9.0;
+const BODY_FULL: f32 = 17.0;
+
+/// Between these weights of neighbours, the surface gets room to move inward: from that of a drop of some dozens
+/// of particles on.
+const ROOM_NONE: f32 = 13.0;
+const ROOM_FULL: f32 = 22.0;
 
 /// From this flatness of its neighbourhood on, a particle is in a sheet.
 const BODY_FLAT: f32 = 0.7;
@@ -266,6 +271,8 @@ struct Surroundings<V> {
     company: V,
     /// Whether the neighbours are a body: 0 in drops, threads and sheets, 1 at a plane surface.
     body: V,
+    /// The part of the room inward that the particle gives to the surface.
+    room: V,
 }
 
 impl<V: Lanes> Surroundings<V> {
@@ -283,7 +290,8 @@ impl<V: Lanes> Surroundings<V> {
         let company = smooth_step(weight, COMPANY_NONE, COMPANY_FULL);
         let is_curved = V::splat(1.0).sub(smooth_step(flatness, BODY_FLAT, FLAT_FULL));
         let body = smooth_step(weight, BODY_NONE, BODY_FULL).mul(is_curved);
-        Surroundings { mean, eigen: Eigen { values: [a, b, c], vectors }, flatness, company, body }
+        let room = smooth_step(weight, ROOM_NONE, ROOM_FULL).mul(is_curved);
+        Surroundings { mean, eigen: Eigen { values: [a, b, c], vectors }, flatness, company, body, room }
     }
 
     /// x, y and z of the mean position of the neighbours times the company.
@@ -299,7 +307,7 @@ impl<V: Lanes> Surroundings<V> {
     /// The shapes of particles with these scales.
     #[inline(always)]
     fn shapes(&self, scales: &[f32; 8], limits: Stretch) -> Shapes8 {
-        let Surroundings { eigen, flatness, company, body, .. } = self;
+        let Surroundings { eigen, flatness, company, body, room, .. } = self;
         let mut scale = V::load(scales);
         if let Some(KernelConfig { per_reach, .. }) = limits.kernels {
             let size = between(LONE_SCALE, 1.0, *company).mul(between(1.0, BODY_SCALE, *body));
@@ -314,7 +322,7 @@ impl<V: Lanes> Surroundings<V> {
         let mut shapes = ellipsoids(half_axes, eigen.vectors, V::bits(is_round));
         if let Some(kernels) = limits.kernels {
             let mut rooms = [0.0; 8];
-            between(kernels.room_least, kernels.room_most, *body).store(&mut rooms);
+            between(kernels.room_least, kernels.room_most, *room).store(&mut rooms);
             shapes.iter_mut().zip(rooms).for_each(|(shape, room)| shape.room = room);
         }
         let balls = V::bits(V::not(V::splat(0.0).lt(*company)));

@@ -92,8 +92,8 @@ method_options! {
             voxel_size: Length,
         }
         Surface {
-            /// Distance up to which particles blend with others, 2.92h to 64h: larger is smoother and joins drops
-            /// earlier; with all presets but paper [default: 1.6d, but no less than 2.92h]
+            /// Distance up to which particles blend with others, 3.09h to 64h: larger is smoother and joins drops
+            /// earlier; with all presets but paper [default: 1.7d, but no less than 3.09h]
             #[value(named("LENGTH"))]
             blend: Length => [OptionName::with_value("preset", "fluid")], |options, _| options.start() == Start::Kernels,
 

@@ -91,7 +91,7 @@ const PAPER: Recipe = Recipe {
 const FLUID: Recipe = Recipe {
     unit: Unit::Spacing,
     voxel_size: 0.32,
-    blend: Some(1.6),
+    blend: Some(1.7),
     anisotropy: AnisotropyKind::Neighbors,
     neighbor_radius: Some(2.8),
     position_smoothing: 0.5,

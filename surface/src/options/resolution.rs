@@ -18,7 +18,7 @@ pub(super) const RADIUS_RATIO: f64 = 2.0;
 
 /// r_init, in units of the reach of kernels. Particles up to twice as far apart count as one piece of fluid: a
 /// little farther than where their surfaces join.
-const LINKED: f64 = 0.64;
+const LINKED: f64 = 0.6;
 
 /// Upper limit of the offset, in units of h.
 const OFFSET_MAX: f64 = 2.0;

@@ -104,7 +104,7 @@ fn finer_grid_keeps_lengths_and_times() {
             }
         }
         // On coarse voxels the reach is raised, so that a lone particle does not fall between voxels.
-        for (voxels, reach) in [(2.0, 1.6), (1.0, 1.1 / f64::from(LONE_RADIUS))] {
+        for (voxels, reach) in [(2.0, 1.7), (1.0, 1.1 / f64::from(LONE_RADIUS))] {
             let coarse = resolved(voxels);
             assert!((coarse[2] - reach).abs() < 1e-9, "{coarse:?}");
             assert!((coarse[3] - usual[3]).abs() < 1e-9);
@@ -183,8 +183,8 @@ fn lengths_out_of_range_are_named_as_typed() {
             "-1d",
             "the distance up to which particles blend -1d is -0.1; it must be a positive number",
         ),
-        ("blend", "2.5h", "the distance up to which particles blend 2.5h is 0.08; it must be from 0.093"),
-        ("blend", "65h", "the distance up to which particles blend 65h is 2.08; it must be from 0.093"),
+        ("blend", "2.5h", "the distance up to which particles blend 2.5h is 0.08; it must be from 0.098"),
+        ("blend", "65h", "the distance up to which particles blend 65h is 2.08; it must be from 0.098"),
         ("neighbor_radius", "90d", "the neighbour radius 90d is 281.25 h; it must be at most 200 h"),
     ] {
         let error = Settings::resolve(&options(&[(name, text)]), Some(0.1.into())).expect_err(text);

@@ -39,11 +39,11 @@ pub const LEVEL_AT: f32 = 0.450_91;
 
 /// The size of the kernel of a particle without company, relative to one in a sheet: drops are then as large as
 /// their particles, and join late.
-pub const LONE_SCALE: f32 = 0.838;
+pub const LONE_SCALE: f32 = 0.79;
 
 /// The size of the kernel of a particle at the surface of a body, relative to one in a sheet: such surfaces are
 /// then smooth, and convex edges round.
-pub const BODY_SCALE: f32 = 1.63;
+pub const BODY_SCALE: f32 = 1.54;
 
 /// The radius of the surface of a lone particle of scale 1, in units of the reach of kernels.
 pub const LONE_RADIUS: f32 = LONE_SCALE * LEVEL_AT;
