@@ -119,7 +119,11 @@ impl<'a> Culling<'a> {
             for _ in 1..radii.init.ceil() as u32 {
                 inside = surrounded(&occupied, &inside, |inside| inside);
             }
-            inside.clone()
+            // Where shapes differ, the sum of kernels may be below the level even here. Voxels next to a deep
+            // leaf are settled, so that no surface passes between the two.
+            let settled = inside;
+            inside = surrounded(&occupied, &settled, |inside| inside);
+            settled
         } else {
             surrounded(&occupied, &covers, |[_, min]| min)
         };
