@@ -4,7 +4,7 @@
 
 use glam::{DVec3, Vec3};
 use meniscus_surface::obstacle::Obstacles;
-use meniscus_surface::options::{AnisotropyKind, MethodOptions, Settings};
+use meniscus_surface::options::{AnisotropyKind, MethodOptions, Preset, Settings};
 use meniscus_surface::particles::{Attribute, AttributeValues, OwnedPositions, ParticleCloud, Role};
 use meniscus_surface::reconstruction::{FrameSurface, reconstruct_cloud};
 use meniscus_surface::smooth::Integrator;
@@ -249,5 +249,29 @@ fn moving_drops_are_stretched_as_in_the_paper() {
             println!("s = {s}: {found:.3} for {factor:.3}");
             assert!((found / factor - 1.0).abs() < 0.1, "{found} for {factor}");
         }
+    }
+}
+
+/// Stretched kernels have the size that their weights are computed for: a body has no voids inside.
+#[test]
+fn moving_fluid_has_the_volume_of_fluid_at_rest() {
+    let at = |index: i32| DVec3::new((index % 10).into(), (index / 10 % 10).into(), (index / 100).into());
+    let block: Vec<DVec3> = (0..1000).map(|index| 2.0 * at(index)).collect();
+    for (gain, slack) in [(0.003, 0.02), (0.01, 0.06)] {
+        let volume = |kind| {
+            let choices = MethodOptions {
+                preset: Some(Preset::Fluid),
+                spacing: Some(2.0),
+                anisotropy: Some(kind),
+                velocity_gain: (kind == AnisotropyKind::Velocity).then_some(gain),
+                ..MethodOptions::default()
+            };
+            let velocities: Vec<Vec3> = block.iter().map(|center| (DVec3::ONE + *center).as_vec3()).collect();
+            let surface = skinned(with_velocities(cloud(&block), &velocities), &choices);
+            assert_eq!(surface.report.mesh.component_count, 1, "{gain}");
+            surface.report.mesh.volume
+        };
+        let [still, moving] = [AnisotropyKind::None, AnisotropyKind::Velocity].map(volume);
+        assert!((moving / still - 1.0).abs() < slack, "{gain}: {moving} instead of {still}");
     }
 }

@@ -128,6 +128,12 @@ impl Ellipsoid {
         Ellipsoid { to_unit_ball, longest, weight: 1.0, room: 0.0 }
     }
 
+    /// The ellipsoid with semi-axes that are this many times as long.
+    pub(crate) fn resized(self, factor: f32) -> Ellipsoid {
+        let to_unit_ball = self.to_unit_ball.map(|entry| entry / factor);
+        Ellipsoid { to_unit_ball, longest: self.longest * factor, ..self }
+    }
+
     /// The shortest semi-axis, or a little less, in units of the settings' radii. The largest eigenvalue of T
     /// is at most m + √2 s, with the mean m and the standard deviation s of the eigenvalues (Wolkowicz and
     /// Styan 1980, Theorem 2.1).

@@ -175,7 +175,7 @@ impl NeighborChanges {
     /// The shapes of a batch of `count` particles after the changes; `given` are those before.
     pub(super) fn shapes_of(&self, batch: usize, given: Shapes, count: usize) -> Shapes {
         let Some(ball_scale) = self.ball_scale else { return given };
-        // Those that are stretched by their velocities get only a weight and room.
+        // Those that are stretched by their velocities get the size, weight and room of the ball.
         let keeps_stretch = matches!(given, Shapes::Ellipsoids(_));
         let mut shapes = match given {
             Shapes::Uniform => vec![Ellipsoid::ball(ball_scale); count],
@@ -186,7 +186,7 @@ impl NeighborChanges {
         // If no particle is stretched, `shapes` is empty.
         for (index, &shape) in indices.zip(self.shapes.get(range).unwrap_or(&[])) {
             shapes[index] = if keeps_stretch {
-                Ellipsoid { weight: shape.weight, room: shape.room, ..shapes[index] }
+                Ellipsoid { weight: shape.weight, room: shape.room, ..shapes[index].resized(shape.longest) }
             } else {
                 shape
             };

@@ -137,7 +137,7 @@ fn changes_in_blocks(
     let vicinity = Vicinity::new(given, &lattice, depth.cover_voxels, depth_of, margin)?;
     let config = neighbor_config(settings);
     let mut found: Vec<BlockChanges> = Vec::new();
-    shape_stats.longest = vicinity.longest().max(if stretch.is_some() { depth.ball } else { 0.0 });
+    let mut longest_found = 0.0f32;
     for block in vicinity.blocks(gathered_max) {
         let gathered = vicinity.gather(&block, given, &lattice)?;
         let positions = OwnedPositions::F64(gathered.positions);
@@ -147,11 +147,16 @@ fn changes_in_blocks(
         shape_stats.near_count += gathered.is_own.iter().filter(|is_own| **is_own).count();
         shape_stats.raised_count += raised_count;
         shape_stats.ball_count += ball_count;
-        shape_stats.longest = shapes.iter().map(|shape| shape.longest).fold(shape_stats.longest, f32::max);
+        longest_found = shapes.iter().map(|shape| shape.longest).fold(longest_found, f32::max);
         let sources = indices.iter().map(|&index| gathered.sources[index as usize]).collect();
         let means = if settings.position_smoothing > 0.0 { &*means } else { &[] };
         found.push(BlockChanges::new(sources, means, shapes));
     }
+    // Particles that are stretched by their velocities grow by the size that is found.
+    let is_resized = stretch.is_some() && matches!(settings.anisotropy, Anisotropy::Velocity { .. });
+    let growth = if is_resized { longest_found.max(1.0) } else { 1.0 };
+    let unchanged = if stretch.is_some() { depth.ball } else { 0.0 };
+    shape_stats.longest = (vicinity.longest() * growth).max(longest_found).max(unchanged);
     drop(vicinity);
     let step_world = settings.position_smoothing * settings.neighbor_radius;
     let ball = stretch.is_some().then_some(depth.ball);
@@ -391,9 +396,10 @@ fn stretch(settings: &Settings) -> Option<Stretch> {
         Anisotropy::Neighbors { max_stretch } => {
             Some(Stretch { max_stretch: max_stretch as f32, floor: thinnest(settings), kernels })
         }
-        // Without company, particles keep their shapes.
+        // Company changes only their sizes, from that of a lone particle on.
         Anisotropy::None | Anisotropy::Velocity { .. } => {
-            kernels.map(|_| Stretch { max_stretch: 1.0, floor: resolved_radius(settings), kernels })
+            let floor = LONE_SCALE * resolved_radius(settings);
+            kernels.map(|_| Stretch { max_stretch: 1.0, floor, kernels })
         }
     }
 }
