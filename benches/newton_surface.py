@@ -3,14 +3,12 @@
     newton_surface.py water|isotropic CELL PARTICLES MESHES
 
 It reads the .ply files in PARTICLES, which `examples/paper quality write=PARTICLES` writes with the particle
-spacing in their headers. For each it writes a mesh of the same name into MESHES, with the computing time in
-its header. CELL is the edge length of a surface voxel in spacings. `benches/quality` runs this script in a
-virtual environment for Newton.
+spacing in their headers. For each it writes a mesh of the same name into MESHES. CELL is the edge length of a
+surface voxel in spacings. `benches/quality` runs this script in a virtual environment for Newton.
 """
 
 import re
 import sys
-import time
 from pathlib import Path
 
 import numpy
@@ -46,25 +44,20 @@ def main():
     warp.config.quiet = True
     warp.init()
     meshes.mkdir(parents=True, exist_ok=True)
-    frames = sorted(particles.glob("*.ply"))
-    if frames:
-        surface_of(*read(frames[0]), settings)  # Not measured: compiles Newton's kernels.
-    for path in frames:
+    for path in sorted(particles.glob("*.ply")):
         write(meshes / path.name, *surface_of(*read(path), settings))
 
 
 def surface_of(positions, spacing, settings):
-    """Returns vertices, triangles, and the seconds to compute them."""
+    """Returns vertices and triangles."""
     with warp.ScopedDevice("cpu"):
-        start = time.perf_counter()
         settings = settings | {length: settings[length] * spacing for length in LENGTHS}
         radii = warp.full(len(positions), 0.5 * spacing, dtype=float)
         mesh = ParticleSurface(**settings).extract(warp.array(positions, dtype=warp.vec3), radii)
         vertices, corners, _ = mesh.to_arrays()
-        seconds = time.perf_counter() - start
     if vertices is None:
-        return numpy.zeros((0, 3)), numpy.zeros((0, 3)), seconds
-    return vertices.numpy(), corners.numpy().reshape(-1, 3), seconds
+        return numpy.zeros((0, 3)), numpy.zeros((0, 3))
+    return vertices.numpy(), corners.numpy().reshape(-1, 3)
 
 
 def read(path):
@@ -75,9 +68,9 @@ def read(path):
     return numpy.frombuffer(body, "<f4", 3 * count).reshape(-1, 3), spacing
 
 
-def write(path, vertices, triangles, seconds):
+def write(path, vertices, triangles):
     header = (
-        f"ply\nformat binary_little_endian 1.0\ncomment seconds {seconds:.6f}\n"
+        f"ply\nformat binary_little_endian 1.0\n"
         f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
         f"element face {len(triangles)}\nproperty list uchar uint vertex_indices\nend_header\n"
     )

@@ -3,7 +3,6 @@
 use std::fs;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
 
 use glam::DVec3;
 use meniscus::surface::level_set::NarrowBand;
@@ -44,7 +43,7 @@ pub(super) enum Maker {
 
 type Staged = StagedFrame<ShapedSource<ParticleCloud>>;
 
-/// A surface and its cost.
+/// A surface, and the work that it took.
 pub(super) struct MadeSurface {
     pub(super) mesh: MeshData,
     pub(super) solid: MeshSdf,
@@ -54,34 +53,28 @@ pub(super) struct MadeSurface {
     pub(super) voxel_passes: Option<u64>,
     /// Whether the certificate holds; `None` if another program made the surface.
     pub(super) is_certified: Option<bool>,
-    pub(super) seconds: f64,
 }
 
 impl Maker {
     /// Makes the surface of a frame.
     pub(super) fn make(&self, set: &Set, frame: &Frame) -> Outcome<MadeSurface> {
-        let start = Instant::now();
         let (mut voxel_passes, mut is_certified, mut unaveraged) = (None, None, None);
-        let (mesh, seconds) = match self {
+        let mesh = match self {
             Maker::Ours { settings, kept } => {
                 let settings = settings_of(settings, set)?;
                 let alone = || reconstruct_cloud(cloud(frame), &settings, &Obstacles::default());
-                let (surface, seconds) = if settings.temporal > 0 {
-                    let surface = averaged(set, frame, &settings, &mut kept.lock().expect("one thread"))?;
-                    let seconds = start.elapsed().as_secs_f64();
+                let surface = if settings.temporal > 0 {
                     unaveraged = matches!(set.kind, Kind::Moving { .. }).then(|| data(&alone()));
-                    (surface, seconds)
+                    averaged(set, frame, &settings, &mut kept.lock().expect("one thread"))?
                 } else {
-                    let surface = alone();
-                    (surface, start.elapsed().as_secs_f64())
+                    alone()
                 };
                 voxel_passes = Some(surface.report.smoothing.voxel_update_count);
                 is_certified = Some(surface.report.certificate.holds());
-                (data(&surface), seconds)
+                data(&surface)
             }
             Maker::Splashsurf { peer, post, cell } => {
-                let mesh = peer.reconstruct(&frame.points, set.spacing, cell * set.spacing, *post)?;
-                (mesh, start.elapsed().as_secs_f64())
+                peer.reconstruct(&frame.points, set.spacing, cell * set.spacing, *post)?
             }
             Maker::Averaged { peer, post, cell, frames, kept } => {
                 let mesh =
@@ -90,16 +83,16 @@ impl Maker {
                 let (own, averaged) =
                     averaged_meshes(set, frame, cell * set.spacing, *frames, &mut kept, mesh)?;
                 unaveraged = Some(own);
-                (averaged, start.elapsed().as_secs_f64())
+                averaged
             }
             Maker::Meshes(folder) => {
                 let path = folder.join(set.file_name(frame));
                 let bytes = fs::read(&path).map_err(|error| format!("{}: {error}", path.display()))?;
-                (ply::read_mesh(&bytes, &Limits::default())?, seconds_in(&bytes).unwrap_or(f64::NAN))
+                ply::read_mesh(&bytes, &Limits::default())?
             }
         };
         let solid = MeshSdf::new(&mesh.positions, &mesh.triangles);
-        Ok(MadeSurface { mesh, solid, unaveraged, voxel_passes, is_certified, seconds })
+        Ok(MadeSurface { mesh, solid, unaveraged, voxel_passes, is_certified })
     }
 }
 
@@ -246,10 +239,4 @@ fn settings_of(pairs: &[(String, String)], set: &Set) -> Outcome<Settings> {
     let radius_median = radii.map(|_| 0.5 * set.spacing * choices.radius_scale.unwrap_or(1.0));
     let measured = SequenceSpacing { spacing: set.spacing, radius_median, irregularity };
     Ok(Settings::resolve(&choices, Some(measured))?)
-}
-
-/// The value of the line `comment seconds S` in the header.
-fn seconds_in(ply: &[u8]) -> Option<f64> {
-    let head = String::from_utf8_lossy(&ply[..ply.len().min(1000)]);
-    head.lines().find_map(|line| line.strip_prefix("comment seconds "))?.trim().parse().ok()
 }

@@ -44,7 +44,7 @@ pub(crate) fn run(words: &[String]) -> Outcome<()> {
     sets.visit(|set| {
         let start = Instant::now();
         let mut found = match &task {
-            Task::Score { maker, repeats } => scores::score(maker, *repeats, &set)?,
+            Task::Score(maker) => scores::score(maker, &set)?,
             Task::Write(folder) => write_particles(folder, &set)?,
             Task::Spacings => estimated_spacing(&set),
         };
@@ -60,9 +60,8 @@ struct Arguments {
 }
 
 enum Task {
-    /// Makes the surfaces and scores them. The surface of a single frame is made several times; the shortest
-    /// time counts.
-    Score { maker: Maker, repeats: usize },
+    /// Makes the surfaces and scores them.
+    Score(Maker),
     /// Writes the particles of each frame into a folder.
     Write(PathBuf),
     /// Estimates the particle spacings.
@@ -71,7 +70,7 @@ enum Task {
 
 impl Arguments {
     fn new(words: &[String]) -> Outcome<Arguments> {
-        let (mut settings, mut peer, mut cell, mut repeats) = (Vec::new(), None, 0.25, 1);
+        let (mut settings, mut peer, mut cell) = (Vec::new(), None, 0.25);
         let (mut other_task, mut meshes, mut frames) = (None, None, None);
         let mut sets = Sets::default();
         for word in words {
@@ -83,7 +82,6 @@ impl Arguments {
             match name {
                 "write" => other_task = Some(Task::Write(value.into())),
                 "meshes" => meshes = Some(Maker::Meshes(value.into())),
-                "repeats" => repeats = value.parse()?,
                 "cell" => cell = value.parse()?,
                 "splashsurf" => {
                     peer = Some(match value {
@@ -112,7 +110,7 @@ impl Arguments {
             }
             (None, None) => Maker::Ours { settings, kept: Mutex::default() },
         };
-        Ok(Arguments { task: other_task.unwrap_or(Task::Score { maker, repeats }), sets })
+        Ok(Arguments { task: other_task.unwrap_or(Task::Score(maker)), sets })
     }
 }
 

@@ -27,15 +27,14 @@ use crate::flow::Flow;
 use crate::samples::on_mesh;
 
 /// The scores of a set, by name.
-pub(super) fn score(maker: &Maker, repeats: usize, set: &Set) -> Outcome<Map<String, Value>> {
+pub(super) fn score(maker: &Maker, set: &Set) -> Outcome<Map<String, Value>> {
     let mut measures = Measures::default();
     let mut of_kind = match &set.kind {
-        Kind::Still => still(maker, repeats, set, &mut measures)?,
         Kind::Flow(flow) => in_flow(maker, set, *flow, &mut measures)?,
         Kind::Moving { seconds } => moving(maker, set, *seconds, &mut measures)?,
         Kind::Pool { rays } => pool(maker, set, rays, &mut measures)?,
-        Kind::Clusters | Kind::Pairs | Kind::Drops | Kind::Welds | Kind::Sizes => {
-            still(maker, 1, set, &mut measures)?
+        Kind::Still | Kind::Clusters | Kind::Pairs | Kind::Drops | Kind::Welds | Kind::Sizes => {
+            still(maker, set, &mut measures)?
         }
     };
     of_kind.append(&mut match &set.kind {
@@ -263,12 +262,9 @@ fn deviation(values: &[f64]) -> f64 {
 }
 
 /// Only what is measured of each frame.
-fn still(maker: &Maker, repeats: usize, set: &Set, measures: &mut Measures) -> Outcome<Map<String, Value>> {
+fn still(maker: &Maker, set: &Set, measures: &mut Measures) -> Outcome<Map<String, Value>> {
     for frame in &set.frames {
-        let mut made = maker.make(set, frame)?;
-        for _ in 1..repeats {
-            made.seconds = made.seconds.min(maker.make(set, frame)?.seconds);
-        }
+        let made = maker.make(set, frame)?;
         measures.add_costs(&made);
         measures.add_shape(&made, frame, set.spacing);
     }
@@ -320,14 +316,12 @@ struct Measures {
     outside: f64,
     deepest: f64,
     voxel_passes: Vec<f64>,
-    seconds: Vec<f64>,
     uncertified: usize,
 }
 
 impl Measures {
     fn add_costs(&mut self, made: &MadeSurface) {
         self.voxel_passes.extend(made.voxel_passes.map(|count| count as f64));
-        self.seconds.push(made.seconds);
         self.uncertified += usize::from(made.is_certified == Some(false));
     }
 
@@ -371,8 +365,7 @@ impl Measures {
             "components": mean(&self.component_counts), "handles": mean(&self.handle_counts),
             "triangles": mean(&self.triangle_counts), "dashes": mean(&self.dashes),
             "outside": round(self.outside), "deepest": round(self.deepest),
-            "voxel_passes": mean(&self.voxel_passes), "seconds": mean(&self.seconds),
-            "uncertified": self.uncertified,
+            "voxel_passes": mean(&self.voxel_passes), "uncertified": self.uncertified,
         }))
     }
 }
