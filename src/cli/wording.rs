@@ -4,6 +4,7 @@ use std::fmt;
 use std::time::Duration;
 
 use crate::pipeline::{FrameReport, FrameWarning, InputWarning, Job, SurfaceWarning, Warning};
+use crate::surface::options::Start;
 pub(in crate::cli) use crate::surface::words::{pluralize, rounded_down, shortest, significant};
 
 /// Lines that were printed more than this many frames ago have probably scrolled out of view.
@@ -103,11 +104,12 @@ fn remedy(warning: &Warning) -> Option<String> {
             "use an --offset nearer to 0, or larger particles (--blend, or --radius-min with --preset paper)".to_owned()
         }
         Warning::Surface(SurfaceWarning::BetweenVoxels { voxel_size, .. }) => {
-            format!("use --radius-min {} or more", significant(3f64.sqrt() * voxel_size))
+            format!("use --radius-min {} or more", significant(Start::Spheres.resolved_voxels() * voxel_size))
         }
         Warning::Surface(SurfaceWarning::Spray { .. } | SurfaceWarning::Blob { .. }) => of_spacing.to_owned(),
         Warning::Surface(SurfaceWarning::Holes { .. } | SurfaceWarning::Fragmented { .. }) => {
-            "check --spacing, --voxel-size and --blend, or leave them out; with --preset paper also give --radius-min 0.87d"
+            "check --spacing, --voxel-size and --neighbor-radius, or leave them out; a larger --blend, such as 2.4d, closes more of \
+             them, and with --preset paper --radius-min 0.87d"
                 .to_owned()
         }
         _ => return None,

@@ -42,9 +42,8 @@ fn why_empty(report: &ReconstructionReport, settings: &Settings) -> Option<Surfa
         // A ball that the grid resolves always has voxels inside, so the balls of this frame are smaller, or an
         // offset moved their surface inward.
         let Settings { voxel_size, start, radius_min, radius_max, offset, .. } = *settings;
-        // With kernels balls are never smaller.
-        let is_resolved = start == Start::Kernels || radius_min >= start.resolved_voxels() * voxel_size;
-        if offset < 0.0 && is_resolved {
+        let is_resolved = radius_min >= start.resolved_voxels() * voxel_size;
+        if start == Start::Kernels || offset < 0.0 && is_resolved {
             return Some(SurfaceWarning::OffsetAway { offset });
         }
         SurfaceWarning::BetweenVoxels { voxel_size, radius_min, radius_max }

@@ -257,21 +257,34 @@ fn moving_drops_are_stretched_as_in_the_paper() {
 fn moving_fluid_has_the_volume_of_fluid_at_rest() {
     let at = |index: i32| DVec3::new((index % 10).into(), (index / 10 % 10).into(), (index / 100).into());
     let block: Vec<DVec3> = (0..1000).map(|index| 2.0 * at(index)).collect();
-    for (gain, slack) in [(0.003, 0.02), (0.01, 0.06)] {
+    let of_own = by_radii().radius_attribute;
+    for (gain, radius, slack) in [
+        (0.003, None, 0.02),
+        (0.01, None, 0.06),
+        (0.003, Some(0.8), 0.02),
+        (0.003, Some(1.0), 0.02),
+        (0.003, Some(1.6), 0.02),
+    ] {
         let volume = |kind| {
             let choices = MethodOptions {
                 preset: Some(Preset::Fluid),
                 spacing: Some(2.0),
                 anisotropy: Some(kind),
                 velocity_gain: (kind == AnisotropyKind::Velocity).then_some(gain),
+                radius_attribute: of_own.clone().filter(|_| radius.is_some()),
                 ..MethodOptions::default()
             };
             let velocities: Vec<Vec3> = block.iter().map(|center| (DVec3::ONE + *center).as_vec3()).collect();
-            let surface = skinned(with_velocities(cloud(&block), &velocities), &choices);
-            assert_eq!(surface.report.mesh.component_count, 1, "{gain}");
+            let particles = with_velocities(cloud(&block), &velocities);
+            let particles = match radius {
+                Some(radius) => with_radii(particles, vec![radius; block.len()]),
+                None => particles,
+            };
+            let surface = skinned(particles, &choices);
+            assert_eq!(surface.report.mesh.component_count, 1, "{gain}, {radius:?}");
             surface.report.mesh.volume
         };
         let [still, moving] = [AnisotropyKind::None, AnisotropyKind::Velocity].map(volume);
-        assert!((moving / still - 1.0).abs() < slack, "{gain}: {moving} instead of {still}");
+        assert!((moving / still - 1.0).abs() < slack, "{gain}, {radius:?}: {moving} instead of {still}");
     }
 }

@@ -673,7 +673,7 @@ pub(super) struct TuneArgs {
     pub(super) out: PathBuf,
 
     /// An option of convert for surfaces, with the values to show, such as preset=fluid,noisy,splash
-    /// [default: position-smoothing=0,0.25,0.5,0.75 and laplacian-steps=1,4,15,40]
+    /// [default: position-smoothing=0,0.25,0.5,0.75 and blend=1.4d,1.7d,2.1d,2.6d]
     ///
     /// Given once, the values fill the sheet; given twice, the first option differs from row to row, and the
     /// second from column to column. Values are written as on the command line, and separated by commas.

@@ -159,8 +159,16 @@ fn axes(args: &TuneArgs) -> Result<Vec<VariedOption>> {
     let given = args.pictures.method.given();
     let is_given = |axis: &VariedOption| given.contains(&axis.name());
     if args.vary.is_empty() {
+        let method = &args.pictures.method;
+        let is_effective = |axis: &VariedOption| {
+            let mut options = method.to_options();
+            axis.values.iter().take(1).for_each(|value| axis.put(value, &mut options));
+            !options.ineffective(!method.obstacle.is_empty()).iter().any(|(name, _)| *name == axis.name())
+        };
         let usual = DEFAULT.iter().map(|text| text.parse::<VariedOption>().map_err(anyhow::Error::msg));
-        return usual.filter(|axis| !axis.as_ref().is_ok_and(is_given)).collect();
+        return usual
+            .filter(|axis| axis.as_ref().ok().is_none_or(|axis| !is_given(axis) && is_effective(axis)))
+            .collect();
     }
     let axes = args.vary.clone();
     if axes.len() > 2 {
@@ -291,7 +299,7 @@ impl<'a> Tuning<'a> {
         let without = match (is_without, self.args.pictures.method == MethodArgs::default()) {
             (false, _) => "",
             (true, true) => " (the defaults)",
-            (true, false) => " (as typed)",
+            (true, false) => " (without --vary)",
         };
         let label = format!("{values}{without}");
         format!("{number}: {}", label.trim_start())
@@ -360,7 +368,7 @@ pub(in crate::cli) struct VariedOption {
 }
 
 /// What `tune` varies by itself.
-const DEFAULT: [&str; 2] = ["position-smoothing=0,0.25,0.5,0.75", "laplacian-steps=1,4,15,40"];
+const DEFAULT: [&str; 2] = ["position-smoothing=0,0.25,0.5,0.75", "blend=1.4d,1.7d,2.1d,2.6d"];
 
 impl VariedOption {
     /// The name of the option's field.

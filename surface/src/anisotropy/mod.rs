@@ -27,7 +27,7 @@ use rayon::prelude::*;
 pub use neighborhoods::{KernelConfig, NeighborConfig, NeighborShapes, Stretch, from_neighbors};
 
 use crate::parallel::Loops as _;
-use crate::particles::{BODY_SCALE, Ellipsoid, LONE_SCALE};
+use crate::particles::{BODY_SCALE, Ellipsoid, LONE_SCALE, cube_root};
 use crate::simd::Lanes;
 use neighborhoods::MOMENT_COUNT;
 
@@ -311,8 +311,9 @@ impl<V: Lanes> Surroundings<V> {
         let mut scale = V::load(scales);
         if let Some(KernelConfig { per_reach, .. }) = limits.kernels {
             let size = between(LONE_SCALE, 1.0, *company).mul(between(1.0, BODY_SCALE, *body));
-            // A kernel is weighed by the neighbours, so it reaches no farther than they do.
-            scale = scale.mul(size.min(V::splat(per_reach)));
+            // A kernel is weighed by the neighbours, so company makes it reach no farther than they do.
+            let most = V::splat(per_reach).div(scale).max(V::splat(LONE_SCALE));
+            scale = scale.mul(size.min(most));
         }
         let share = V::splat(if limits.max_stretch > 1.0 { 1.0 } else { 0.0 });
         let part = company.mul(smooth_step(*flatness, FLAT_NONE, FLAT_FULL)).mul(share);
@@ -448,19 +449,6 @@ fn ellipsoids<V: Lanes>(half_axes: [V; 3], vectors: [[V; 3]; 3], balls: u8) -> [
         }
     }
     shapes
-}
-
-/// The cube root of a positive number that is not tiny, accurate to the last bit or two. Starts from a guess
-/// by the exponent and does two steps of Halley's method, each of which triples the number of correct digits.
-/// The result is the same on all processors, which standard libraries do not guarantee.
-#[inline(always)]
-fn cube_root(value: f32) -> f32 {
-    let mut root = f32::from_bits(value.to_bits() / 3 + 0x2a51_19f2);
-    for _ in 0..2 {
-        let cube = root * root * root;
-        root *= (cube + 2.0 * value) / (2.0 * cube + value);
-    }
-    root
 }
 
 // Eigenvalues and eigenvectors of eight symmetric 3×3 matrices at once, by Jacobi rotations.

@@ -117,10 +117,10 @@ impl Refinement<'_> {
             return false;
         }
         let chord = self.mesh.positions[to] - self.mesh.positions[from];
-        // The angle between the normals times the length of the chord.
+        let chord = chord / self.placement.voxel_size as f32;
+        // The angle between the normals times the length of the chord, in voxels.
         let turn = chord.dot(self.mesh.normals[to] - self.mesh.normals[from]).abs();
-        let voxel_size = self.placement.voxel_size as f32;
-        turn > 8.0 * TOLERANCE * voxel_size && turn * RADIUS * voxel_size > chord.length_squared()
+        turn > 8.0 * TOLERANCE && turn * RADIUS > chord.length_squared()
     }
 
     /// Moves the ends of edges onto the zero of φ.
@@ -287,9 +287,8 @@ fn push_parts(mesh: &Mesh, [a, b, c]: [u32; 3], middles: [Option<u32>; 3], parts
         [None, None, None] => push([a, b, c]),
         [Some(m), None, None] => [[a, m, c], [m, b, c]].into_iter().for_each(push),
         [None, Some(m), Some(n)] => {
-            let length = |from: u32, to: u32| {
-                mesh.positions[from as usize].distance_squared(mesh.positions[to as usize])
-            };
+            let position = |vertex: u32| mesh.positions[vertex as usize].as_dvec3();
+            let length = |from: u32, to: u32| position(from).distance_squared(position(to));
             push([n, m, c]);
             if length(a, m) <= length(b, n) {
                 [[a, b, m], [a, m, n]].into_iter().for_each(push);

@@ -87,18 +87,26 @@ method_options! {
             spacing: f64,
 
             /// Voxel edge length h, positive, in world units or particle spacings [default: 0.32d]
-            #[value(named("LENGTH"))]
+            #[value(named("LENGTH").signed())]
             #[parser(Length::parse_voxel_size)]
             voxel_size: Length,
         }
         Surface {
-            /// Distance up to which particles blend with others, 3.09h to 64h: larger is smoother and joins drops
-            /// earlier; with all presets but paper [default: 1.7d, but no less than 3.09h]
-            #[value(named("LENGTH"))]
-            blend: Length => [OptionName::with_value("preset", "fluid")], |options, _| options.start() == Start::Kernels,
+            /// Distance up to which particles blend with others, 3.09h to 64h: larger is smoother, makes drops larger and
+            /// joins them earlier; with all presets but paper [default: 1.7d, but no less than 3.09h]
+            #[value(named("LENGTH").signed())]
+            blend: Length
+                => [
+                    OptionName::with_value("preset", "fluid"),
+                    OptionName::with_value("preset", "noisy"),
+                    OptionName::with_value("preset", "splash"),
+                    OptionName::with_value("preset", "granular"),
+                    OptionName::with_value("preset", "preview"),
+                ],
+                |options, _| options.start() == Start::Kernels,
 
             /// Radius r_min of the spheres that the surface encloses, positive, for --preset paper [default: √3·h]
-            #[value(named("LENGTH"))]
+            #[value(named("LENGTH").signed())]
             radius_min: Length => [OptionName::with_value("preset", "paper")], |options, _| options.start() == Start::Spheres,
 
             /// Ratio r_max / r_min, at least 1; every point of the surface is within r_max of some particle,
@@ -124,7 +132,7 @@ method_options! {
             r#where: ParticleFilter,
 
             /// Attribute with each particle's own radius, in world units, such as pscale.
-            /// A lone particle becomes a ball of this radius; its reach scales with it
+            /// A particle without neighbours becomes a ball of this radius, unless --blend is given
             #[value(named("NAME"))]
             radius_attribute: String,
 
@@ -143,7 +151,7 @@ method_options! {
                 |options, _| options.anisotropy_kind() != AnisotropyKind::None,
 
             /// Search radius for neighbours, positive and at most 200h [default: 2.8d]
-            #[value(named("LENGTH"))]
+            #[value(named("LENGTH").signed())]
             neighbor_radius: Length
                 => [OptionName::with_value("anisotropy", "neighbors"), OptionName::new("position_smoothing")],
                 |options, _| options.uses_neighbors(),
@@ -153,8 +161,8 @@ method_options! {
             #[value(named("FRACTION"))]
             position_smoothing: f64 in 0.0..=1.0,
 
-            /// Stretch each particle along its velocity by how far it moves in this time, in units of its r_min;
-            /// positive, only for --anisotropy velocity [default: 0.01]
+            /// Stretch each particle along its velocity by how far it moves in this time, in units of its radius, up to
+            /// --max-stretch; positive, only for --anisotropy velocity [default: 0.01]
             #[value(named("SECONDS"))]
             velocity_gain: f64
                 => [OptionName::with_value("anisotropy", "velocity")],

@@ -25,15 +25,16 @@ pub use resolution::Pairs;
 pub use values::{AnisotropyKind, AttributeSelection, ClipBox, ColumnNames, Length, LengthUnit};
 
 use crate::attributes::ComputedAttribute;
-use crate::particles::{Attribute, ParticleFilter, find_attribute};
+use crate::particles::{Attribute, LONE_RADIUS, ParticleFilter, find_attribute};
 use crate::smooth::{EIGENVALUE_MAX, SmoothSteps};
 use crate::spacing::median;
 use crate::spray::frames_needed;
 use crate::words::significant;
-use presets::{Scale, Unit};
+use presets::Scale;
 use resolution::{
-    RADIUS_RATIO, anisotropy, cavities, check_offset, checked_box, default_step_size, default_steps,
-    is_explicit, kernel_radii, laplacian_steps, neighbor_radius, offset, radii, unit_radius,
+    LEAST_REACH_VOXELS, RADIUS_RATIO, anisotropy, cavities, check_offset, checked_box, default_step_size,
+    default_steps, is_explicit, kernel_radii, laplacian_steps, neighbor_radius, offset, radii, unit_radius,
+    usual_reach,
 };
 
 /// All settings of a sequence, checked.
@@ -369,7 +370,7 @@ impl Settings {
             temporal: options.temporal.unwrap_or(0),
             time_step: options.time_step,
             contouring: options.contour.unwrap_or_default(),
-            refine: recipe.refine,
+            refine: start == Start::Kernels,
         };
         settings.check_together()?;
         Ok(settings)
@@ -400,8 +401,9 @@ impl Settings {
         let offset =
             options.offset.and_then(Length::world).filter(|offset| offset.is_finite()).unwrap_or(0.0);
         let settings = Settings::paper(if offset == 0.0 { 1.0 } else { offset.abs() }, options)?;
-        // There are no particles to follow.
-        Ok(Settings { temporal: 0, spray: 0, rest: None, ..settings })
+        // There are no particles to follow. The paper does not refine meshes.
+        let refine = options.preset != Some(Preset::Paper);
+        Ok(Settings { temporal: 0, spray: 0, rest: None, refine, ..settings })
     }
 
     /// The same settings for another voxel size: the lengths that depend on the voxel size become those of
@@ -476,6 +478,18 @@ impl Settings {
         unit_radius([self.radius_min, self.radius_max], self.start)
     }
 
+    /// The own radius of a particle of scale 1, times the radius scale, world units. A longer reach of kernels makes
+    /// particles with radii of their own larger, too.
+    pub(crate) fn unit_own_radius(&self) -> f64 {
+        match self.start {
+            Start::Spheres => self.unit_radius(),
+            Start::Kernels => {
+                let scale = Scale { spacing: self.spacing, voxel_size: self.voxel_size };
+                f64::from(LONE_RADIUS) * usual_reach(&self.preset.recipe(), &scale)
+            }
+        }
+    }
+
     /// How far the surface of a body may move from a start of kernels, world units.
     pub(crate) fn room(&self) -> f64 {
         ROOM * self.spacing
@@ -523,23 +537,25 @@ impl Settings {
         let sound = |length: &f64| length.is_finite() && *length > 0.0;
         let recipe = options.recipe();
         // Choose a spacing whose default length equals the given length. `resolve` reports invalid lengths.
-        let unit = match recipe.unit {
-            Unit::Spacing => 1.0,
-            Unit::VoxelSize => recipe.voxel_size,
+        let of_start = |start, length: Option<Length>| {
+            length.filter(|_| options.start() == start).and_then(Length::world)
         };
-        let [voxel_size, radius_min, blend] =
-            [options.voxel_size, options.radius_min, options.blend].map(|it| it.and_then(Length::world));
+        let voxel_size = options.voxel_size.and_then(Length::world);
+        let radius_min = of_start(Start::Spheres, options.radius_min);
+        let blend = of_start(Start::Kernels, options.blend);
+        let per_spacing = |voxels: f64| voxels * recipe.voxel_size;
         let spacing = match (voxel_size, radius_min, blend) {
             (Some(voxel_size), ..) => voxel_size / recipe.voxel_size,
-            (None, Some(radius), _) => radius / (3f64.sqrt() * unit),
-            (None, None, Some(blend)) => blend / (recipe.blend.unwrap_or(1.0) * unit),
+            (None, Some(radius), _) => radius / per_spacing(3f64.sqrt()),
+            (None, None, Some(blend)) => {
+                blend / recipe.blend.unwrap_or_default().max(per_spacing(LEAST_REACH_VOXELS))
+            }
             (None, None, None) => 1.0,
         };
         let spacing = Some(spacing).filter(sound).unwrap_or(1.0);
         // An inward offset can be compared with a given r_min. Any other offset fits some spacing.
         let inward = options.offset.and_then(Length::world).filter(|offset| offset.is_finite());
-        let of_spheres = radius_min.filter(|_| options.start() == Start::Spheres).filter(sound);
-        if let (Some(radius_min), Some(offset)) = (of_spheres, inward) {
+        if let (Some(radius_min), Some(offset)) = (radius_min.filter(sound), inward) {
             require(-offset <= (1.0 + 1e-9) * radius_min, || {
                 format!("the offset is {offset}; it must be at least -r_min = {}", significant(-radius_min))
             })?;

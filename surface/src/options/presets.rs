@@ -5,6 +5,7 @@
 
 use super::values::{AnisotropyKind, Length, LengthUnit};
 use super::{MethodOptions, SettingsError, SettingsFault, require};
+use crate::rasterize::Start;
 use crate::spacing::IRREGULAR;
 use crate::words::{rounded_to_digits, word_enum};
 
@@ -66,8 +67,6 @@ pub(super) struct Recipe {
     pub(super) step_size: f64,
     /// Total time of explicit steps, in units⁴.
     pub(super) explicit_time: f64,
-    /// Whether the mesh is refined where the surface is strongly curved.
-    pub(super) refine: bool,
 }
 
 /// The paper's numbers: five implicit steps of 20 h⁴ or 500 explicit ones of 0.01 h⁴
@@ -84,7 +83,6 @@ const PAPER: Recipe = Recipe {
     steps: 5,
     step_size: 20.0,
     explicit_time: 5.0,
-    refine: false,
 };
 
 /// The preset for fluids. docs/method.md has the measurements behind these values.
@@ -100,7 +98,6 @@ const FLUID: Recipe = Recipe {
     steps: 1,
     step_size: 0.006,
     explicit_time: 0.006,
-    refine: true,
 };
 
 impl Preset {
@@ -182,7 +179,12 @@ impl Scale {
             (None, None) => return Err(SettingsFault::UnknownSpacing.into()),
         };
         let usual = rounded_to_digits(recipe.voxel_size * spacing);
-        let for_radii = |radius: f64| (radius / 3f64.sqrt()).max(spacing / VOXELS_PER_SPACING_MAX).min(usual);
+        // The radius of a particle is half the spacing of particles of its size.
+        let per_radius = match recipe.blend {
+            Some(_) => (2.0 * recipe.voxel_size).min(1.0 / Start::Kernels.resolved_voxels()),
+            None => 1.0 / Start::Spheres.resolved_voxels(),
+        };
+        let for_radii = |radius: f64| (radius * per_radius).max(spacing / VOXELS_PER_SPACING_MAX).min(usual);
         // With a given spacing, particles are measured only to choose a preset.
         let of_radii = measured.filter(|_| options.spacing.is_none());
         let median = of_radii.and_then(|measured| measured.radius_median);

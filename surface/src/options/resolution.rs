@@ -111,28 +111,31 @@ pub(super) fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Resul
 /// The same radii for kernels: that of the ball around each particle that is always inside; half the distance
 /// up to which particles count as one piece of fluid; and the reach of a kernel.
 pub(super) fn kernel_radii(scale: &Scale, options: &MethodOptions) -> Result<[f64; 3], SettingsError> {
-    let (recipe, h) = (options.recipe(), scale.voxel_size);
-    // A lone particle must not fall between voxels.
-    let least = Start::Kernels.resolved_voxels() * h / f64::from(LONE_RADIUS);
-    let usual = scale.units(recipe.unit, recipe.blend.unwrap_or_default()).max(least);
-    let reach = scale.length(options.blend).unwrap_or(usual);
-    let reach = positive_length(BLEND, options.blend, reach)?;
-    let most = RADIUS_MAX_VOXELS * h;
+    let h = scale.voxel_size;
+    let reach = scale.length(options.blend).unwrap_or_else(|| usual_reach(&options.recipe(), scale));
+    let reach = positive_length("blend", options.blend, reach)?;
+    let [least, most] = [LEAST_REACH_VOXELS, RADIUS_MAX_VOXELS].map(|voxels| voxels * h);
     let slack = 1e-9 * most;
     require((least - slack..=most + slack).contains(&reach), || {
         format!(
-            "the {}; it must be from {} to {}, {} to {RADIUS_MAX_VOXELS} voxels: choose another voxel size",
-            stated(BLEND, options.blend, reach),
+            "the {}; it must be from {} h to {RADIUS_MAX_VOXELS} h, which is {} to {}",
+            stated("blend", options.blend, reach),
+            significant(LEAST_REACH_VOXELS),
             significant(least),
             significant(most),
-            significant(least / h),
         )
     })?;
     Ok([h, LINKED * reach, reach])
 }
 
-/// The name of a length in messages.
-const BLEND: &str = "distance up to which particles blend";
+/// The reach of the kernels of a recipe: so long that a lone particle does not fall between voxels.
+pub(super) fn usual_reach(recipe: &Recipe, scale: &Scale) -> f64 {
+    let least = LEAST_REACH_VOXELS * scale.voxel_size;
+    scale.units(recipe.unit, recipe.blend.unwrap_or_default()).max(least)
+}
+
+/// The least reach of kernels, in voxels: the grid resolves a lone particle.
+pub(super) const LEAST_REACH_VOXELS: f64 = Start::Kernels.resolved_voxels() / LONE_RADIUS as f64;
 
 /// The radius of the surface of a lone particle of scale 1, from r_min and r_max.
 pub(super) fn unit_radius([radius_min, radius_max]: [f64; 2], start: Start) -> f64 {
@@ -194,7 +197,10 @@ pub(super) fn neighbor_radius(
     scale: &Scale,
 ) -> Result<f64, SettingsError> {
     let (recipe, h) = (options.recipe(), scale.voxel_size);
-    let of_recipe = recipe.neighbor_radius.map(|radius| scale.units(recipe.unit, radius));
+    // Neighbours weigh kernels, so a longer reach needs more of them.
+    let longer =
+        scale.length(options.blend).map_or(1.0, |reach| (reach / usual_reach(&recipe, scale)).max(1.0));
+    let of_recipe = recipe.neighbor_radius.map(|radius| scale.units(recipe.unit, radius) * longer);
     let radius = scale.length(options.neighbor_radius).or(of_recipe).unwrap_or(NEIGHBOR_RADIUS * radius_min);
     let radius = positive_length("neighbour radius", options.neighbor_radius, radius)?;
     require(radius <= NEIGHBOR_RADIUS_MAX_VOXELS * h, || {

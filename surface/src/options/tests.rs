@@ -143,7 +143,7 @@ fn given_spacing_overrides_the_measured_one() {
         let measured = SequenceSpacing { radius_median: Some(radius), ..SequenceSpacing::from(1.0) };
         Settings::resolve(&choices(None, None, FLUID), Some(measured)).expect("sound").voxel_size
     };
-    assert_eq!([of_radius(0.3 * 3f64.sqrt()), of_radius(2.0), of_radius(1e-6)], [0.3, 0.32, 0.125]);
+    assert_eq!([of_radius(0.5), of_radius(0.25), of_radius(2.0), of_radius(1e-6)], [0.32, 0.16, 0.32, 0.125]);
 }
 
 #[test]
@@ -178,13 +178,9 @@ fn lengths_out_of_range_are_named_as_typed() {
         ("offset", "-2d", "the offset -2d is -0.2; it must be from -(radius of a lone particle) = -0.060"),
         ("offset", "0.2", "the offset is 0.2; it must be from -(radius of a lone particle) = -0.060"),
         ("voxel_size", "-1d", "the voxel size -1d is -0.1; it must be a positive number"),
-        (
-            "blend",
-            "-1d",
-            "the distance up to which particles blend -1d is -0.1; it must be a positive number",
-        ),
-        ("blend", "2.5h", "the distance up to which particles blend 2.5h is 0.08; it must be from 0.098"),
-        ("blend", "65h", "the distance up to which particles blend 65h is 2.08; it must be from 0.098"),
+        ("blend", "-1d", "the blend -1d is -0.1; it must be a positive number"),
+        ("blend", "2.5h", "the blend 2.5h is 0.08; it must be from 3.08799 h to 64 h, which is 0.098"),
+        ("blend", "65h", "the blend 65h is 2.08; it must be from 3.08799 h to 64 h, which is 0.098"),
         ("neighbor_radius", "90d", "the neighbour radius 90d is 281.25 h; it must be at most 200 h"),
     ] {
         let error = Settings::resolve(&options(&[(name, text)]), Some(0.1.into())).expect_err(text);

@@ -134,6 +134,13 @@ impl Ellipsoid {
         Ellipsoid { to_unit_ball, longest: self.longest * factor, ..self }
     }
 
+    /// The radius of the ball with the same volume, in units of the settings' radii: (a·b·c)^⅓.
+    pub(crate) fn ball_radius(&self) -> f32 {
+        let [xx, yy, zz, xy, xz, yz] = self.to_unit_ball;
+        let determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
+        cube_root(1.0 / determinant)
+    }
+
     /// The shortest semi-axis, or a little less, in units of the settings' radii. The largest eigenvalue of T
     /// is at most m + √2 s, with the mean m and the standard deviation s of the eigenvalues (Wolkowicz and
     /// Styan 1980, Theorem 2.1).
@@ -172,6 +179,19 @@ impl Ellipsoid {
     }
 }
 
+/// The cube root of a positive number that is not tiny, accurate to the last bit or two. Starts from a guess
+/// by the exponent and does two steps of Halley's method, each of which triples the number of correct digits.
+/// The result is the same on all processors, which standard libraries do not guarantee.
+#[inline(always)]
+pub(crate) fn cube_root(value: f32) -> f32 {
+    let mut root = f32::from_bits(value.to_bits() / 3 + 0x2a51_19f2);
+    for _ in 0..2 {
+        let cube = root * root * root;
+        root *= (cube + 2.0 * value) / (2.0 * cube + value);
+    }
+    root
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -195,6 +215,7 @@ mod tests {
         let expected = Vec3::new(reach(Vec3::X), reach(Vec3::Y), reach(Vec3::Z));
         assert!((ellipsoid.extents() - expected).length() < 1e-5, "{expected}");
         assert!((0.4..0.5).contains(&ellipsoid.inner_radius()), "{}", ellipsoid.inner_radius());
+        assert!((ellipsoid.ball_radius().powi(3) - 3.0 * 0.5 * 1.25).abs() < 1e-5);
         assert!((1.999..2.0).contains(&Ellipsoid::ball(2.0).inner_radius()));
         assert_eq!(Ellipsoid::ball(2.0).apply(Vec3::new(2.0, -4.0, 1.0)), Vec3::new(1.0, -2.0, 0.5));
     }

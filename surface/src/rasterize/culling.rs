@@ -119,10 +119,13 @@ impl<'a> Culling<'a> {
             for _ in 1..radii.init.ceil() as u32 {
                 inside = surrounded(&occupied, &inside, |inside| inside);
             }
-            // Where shapes differ, the sum of kernels may be below the level even here. Voxels next to a deep
-            // leaf are settled, so that no surface passes between the two.
+            // The sum of kernels may be below the level even here. All voxels next to a deep leaf are settled, so that
+            // no surface passes between the two: three steps over faces reach the 26 neighbors.
             let settled = inside;
-            inside = surrounded(&occupied, &settled, |inside| inside);
+            inside = surrounded(&occupied, &settled, |settled| settled);
+            for _ in 1..3 {
+                inside = surrounded(&occupied, &inside, |inside| inside);
+            }
             settled
         } else {
             surrounded(&occupied, &covers, |[_, min]| min)

@@ -15,9 +15,11 @@
 //! r_max (q(F) − q(level)) is the distance. Dividing φ̃ by the length of its gradient, which is one Newton
 //! step, gives the distance of the voxels next to the surface everywhere; the others are swept.
 //!
-//! The surface may leave its start outward by a fixed room, where a kernel reaches, and inward by the room that
-//! the particles around it give: hardly where fluid is thin, more at bodies. No particle comes outside: a small
-//! ball around it stays inside.
+//! The start also contains a ball of r_min, one voxel, around each particle. So every particle is next to a voxel
+//! inside, whatever the sum of the kernels is.
+//!
+//! The surface may move outward by a fixed distance, where a kernel reaches, and inward by the mean of the distances
+//! that the particles around it allow: nearly 0 in thin fluid, more in bodies. The small balls stay inside.
 //!
 //! This is based on:
 //! Jihun Yu and Greg Turk. Reconstructing surfaces of particle-based fluids using anisotropic kernels. 2013
@@ -145,9 +147,11 @@ impl ParticleShape for KernelShape {
             let is_settled = V::mask(sums.settled.row(row));
             let value = V::select(is_settled, V::splat(1.0), V::load(sums.value.row(row)));
             let is_reached = V::splat(0.0).lt(value);
-            let squared = V::select(is_settled, V::splat(f32::MAX), V::load(sums.nearest.row(row)));
-            V::select(is_reached, squared.sqrt(), V::splat(OUT_OF_REACH)).store(nearest.row_mut(row));
-            inverse_kernel(value).sub(level_at).mul(reach).store(start.row_mut(row));
+            let distance = V::load(sums.nearest.row(row)).sqrt();
+            let measured = V::select(is_settled, V::splat(f32::MAX), distance);
+            V::select(is_reached, measured, V::splat(OUT_OF_REACH)).store(nearest.row_mut(row));
+            let of_ball = distance.sub(V::splat(unions.radii[2]));
+            inverse_kernel(value).sub(level_at).mul(reach).min(of_ball).store(start.row_mut(row));
             let mean = V::load(sums.room.row(row)).div(value.max(V::splat(f32::MIN_POSITIVE)));
             V::select(is_settled, V::splat(SETTLED_ROOM), mean).store(room.row_mut(row));
         }

@@ -47,7 +47,7 @@ use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, ROW_COU
 use crate::level_set::{Bounds, NarrowBand, Sweeps, redistance_field};
 use crate::obstacle::{ContactStats, ObstacleLeaf, Obstacles, fill_gaps_at_obstacles};
 use crate::parallel::Loops as _;
-use crate::particles::{AnySource, ParticleSource, Unread, erased};
+use crate::particles::{AnySource, LEVEL_AT, ParticleSource, Unread, erased};
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::{CoordBox, Lattice};
 use culling::{Culling, leaves_around_boxes};
@@ -94,9 +94,9 @@ pub enum Start {
 
 impl Start {
     /// The radius of the smallest ball that the grid resolves wherever it is, in voxels.
-    pub fn resolved_voxels(self) -> f64 {
+    pub const fn resolved_voxels(self) -> f64 {
         match self {
-            Start::Spheres => 3f64.sqrt(),
+            Start::Spheres => 1.732_050_807_568_877_2,
             Start::Kernels => 1.1,
         }
     }
@@ -178,6 +178,14 @@ impl Radii {
         match self.start {
             Start::Spheres => self.min * self.min_scale + self.offset,
             Start::Kernels => self.min + self.offset,
+        }
+    }
+
+    /// The radius of the ball around a particle of scale 1 that is inside the initial surface, in voxels.
+    pub fn inside(&self) -> f32 {
+        match self.start {
+            Start::Spheres => self.init,
+            Start::Kernels => LEVEL_AT * self.max,
         }
     }
 

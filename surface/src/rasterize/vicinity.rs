@@ -200,7 +200,11 @@ impl Vicinity {
                 Shapes::Scaled(scales) => {
                     selected.iter().map(|&(particle, _)| scales[particle as usize]).collect()
                 }
-                Shapes::Uniform | Shapes::Ellipsoids(_) => Vec::new(),
+                Shapes::Ellipsoids(ellipsoids) => selected
+                    .iter()
+                    .map(|&(particle, _)| ellipsoids[particle as usize].ball_radius())
+                    .collect(),
+                Shapes::Uniform => Vec::new(),
             };
             Ok(Gathered {
                 sources: selected.iter().map(|&(particle, _)| [index as u32, particle]).collect(),

@@ -186,7 +186,9 @@ impl NeighborChanges {
         // If no particle is stretched, `shapes` is empty.
         for (index, &shape) in indices.zip(self.shapes.get(range).unwrap_or(&[])) {
             shapes[index] = if keeps_stretch {
-                Ellipsoid { weight: shape.weight, room: shape.room, ..shapes[index].resized(shape.longest) }
+                let given = shapes[index];
+                let factor = shape.longest / given.ball_radius();
+                Ellipsoid { weight: shape.weight, room: shape.room, ..given.resized(factor) }
             } else {
                 shape
             };

@@ -265,10 +265,8 @@ fn transfer_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f
     }
     let [_, area, _, particles] = counts(footprint, settings);
     // A second copy of the particles, with their shapes.
-    let moved = match (settings.uses_neighbors(), settings.anisotropy) {
-        (true, Anisotropy::Neighbors { .. }) => SHAPES_BYTES * footprint.particle_count as f64,
-        _ => 0.0,
-    };
+    let is_shaped = settings.uses_neighbors() && settings.has_per_particle_shapes();
+    let moved = if is_shaped { SHAPES_BYTES * footprint.particle_count as f64 } else { 0.0 };
     moved + particles * (80.0 + 2.0 * attribute_bytes) + area * (48.0 + 8.0 * attribute_bytes)
 }
 

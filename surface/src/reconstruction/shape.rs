@@ -31,8 +31,8 @@ use crate::anisotropy::{
 };
 use crate::options::{Anisotropy, PerParticleRadius, RADIUS_MAX_VOXELS, Settings, Start};
 use crate::particles::{
-    AnySource, Attribute, LONE_SCALE, OwnedPositions, ParticleCloud, ParticleSource, Positions, Shapes,
-    Unread, erased, find_attribute,
+    AnySource, Attribute, BODY_SCALE, LONE_SCALE, OwnedPositions, ParticleCloud, ParticleSource, Positions,
+    Shapes, Unread, erased, find_attribute,
 };
 use crate::rasterize::{NearSurface, Vicinity};
 use crate::report::ShapeStats;
@@ -154,7 +154,7 @@ fn changes_in_blocks(
     }
     // Particles that are stretched by their velocities grow by the size that is found.
     let is_resized = stretch.is_some() && matches!(settings.anisotropy, Anisotropy::Velocity { .. });
-    let growth = if is_resized { longest_found.max(1.0) } else { 1.0 };
+    let growth = if is_resized { GROWTH_MAX } else { 1.0 };
     let unchanged = if stretch.is_some() { depth.ball } else { 0.0 };
     shape_stats.longest = (vicinity.longest() * growth).max(longest_found).max(unchanged);
     drop(vicinity);
@@ -164,6 +164,9 @@ fn changes_in_blocks(
         NeighborChanges::new(found, step_world, ball, given.batch_count(), |batch| given.batch_len(batch));
     Ok((changes, shape_stats))
 }
+
+/// By how much a particle in a body is larger than alone, and a little more for rounding.
+const GROWTH_MAX: f32 = 1.001 * BODY_SCALE;
 
 /// Approximate number of particles per block: some hundred bytes each.
 const GATHERED_MAX: usize = 1 << 22;
@@ -222,8 +225,7 @@ pub(super) fn near_surface(settings: &Settings) -> Option<NearSurface> {
 /// Memory per particle that may be moved or stretched by its neighbors, in bytes: while the results are
 /// collected, and afterwards.
 pub(super) fn changes_bytes(settings: &Settings) -> [f64; 2] {
-    let is_stretched = matches!(settings.anisotropy, Anisotropy::Neighbors { .. });
-    changed_bytes(settings.position_smoothing > 0.0, is_stretched)
+    changed_bytes(settings.position_smoothing > 0.0, stretch(settings).is_some())
 }
 
 /// Memory for the particles of a block and their neighbors, in a frame of `particle_count` particles, in
@@ -344,7 +346,7 @@ pub(super) fn scales(
 ) -> Option<Vec<f32>> {
     let radii = numbers(count, attributes, &own.attribute, 1)?;
     let RadiusScales { mut scales, raised_count, invalid_count } =
-        radius_scales(&radii, own.scale, settings.unit_radius(), resolved_radius(settings));
+        radius_scales(&radii, own.scale, settings.unit_own_radius(), resolved_radius(settings));
     shape_stats.small_radius_count = raised_count;
     if raised_count > 0 {
         shape_stats.small_radius_min = own.radii_min(attributes).into_iter().reduce(f64::min).unwrap_or(0.0);
@@ -375,7 +377,7 @@ fn neighbor_config(settings: &Settings) -> NeighborConfig {
     let own_spacing = settings
         .per_particle_radius
         .as_ref()
-        .map_or(1.0, |own| (2.0 * settings.unit_radius() / (own.scale * settings.spacing)) as f32);
+        .map_or(1.0, |own| (2.0 * settings.unit_own_radius() / (own.scale * settings.spacing)) as f32);
     NeighborConfig {
         radius_world: settings.neighbor_radius,
         weight_scale,

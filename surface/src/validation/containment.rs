@@ -25,7 +25,7 @@ use crate::level_set::{Bounds, NarrowBand};
 use crate::obstacle::ROUNDING_MAX;
 use crate::parallel::Loops as _;
 use crate::particles::{AnySource, Unread};
-use crate::rasterize::RasterParams;
+use crate::rasterize::{RasterParams, Start};
 use crate::simd::{Kernel, Lanes, dispatch};
 use crate::space::Lattice;
 
@@ -107,7 +107,10 @@ impl Kernel for LeafParticles<'_> {
             // Rounding may have moved a particle to the leaf's far side, into a cell of the next leaf.
             let is_in =
                 |mask: &LeafMask| cell.max_element() < LEAF_EDGE && mask.contains(offset_in_leaf(cell));
-            let is_sure = || radii.init * bins.shapes.inner_radius(index) > SURE_RADIUS;
+            let is_sure = || match radii.start {
+                Start::Spheres => radii.init * bins.shapes.inner_radius(index) > SURE_RADIUS,
+                Start::Kernels => true,
+            };
             if !(is_in(&known) || is_in(&with_unstored) && is_sure()) {
                 unsettled.particles.push(particle);
             }
@@ -117,7 +120,8 @@ impl Kernel for LeafParticles<'_> {
 }
 
 /// An unstored voxel is inside if it lies in a particle. A ball with a radius above √3 voxels, the diagonal
-/// of a cell, contains all corners of the cell that its centre lies in, wherever in the cell that is.
+/// of a cell, contains all corners of the cell that its centre lies in, wherever in the cell that is. A start of kernels
+/// contains a corner of the cell of each particle, and the others are on the same side if no surface is stored near.
 const SURE_RADIUS: f32 = 1.75;
 
 impl LeafParticles<'_> {
@@ -145,7 +149,7 @@ impl LeafParticles<'_> {
 }
 
 /// Whether a voxel is inside. Where φ is stored, its sign decides. Elsewhere no surface is near, so the sign
-/// of φ_0 decides. For example, a sphere may be so small that it contains no voxel: φ_0 is then positive at
+/// of the initial surface decides. For example, a sphere may be so small that it contains no voxel: φ_0 is then positive at
 /// all voxels around it, so none of them is stored for it, and they are outside.
 fn is_voxel_inside(part: &CheckedRegion, shaped: Option<&ShapedParticles>, voxel: IVec3) -> bool {
     if let Some((leaf, local)) = part.band.topology.find_voxel(voxel) {
@@ -153,7 +157,7 @@ fn is_voxel_inside(part: &CheckedRegion, shaped: Option<&ShapedParticles>, voxel
     }
     let local = voxel & IVec3::splat(LEAF_EDGE - 1);
     part.bins.is_deep(voxel - local)
-        || is_inside_one(part.bins, shaped, voxel - local, local.as_vec3(), part.radii.init)
+        || is_inside_one(part.bins, shaped, voxel - local, local.as_vec3(), part.radii.inside())
 }
 
 // Casts rays from points to classified cells, to find whether a closed mesh encloses the points.

@@ -39,6 +39,7 @@ pub use mesh_cells::MeshCells;
 use crate::level_set::NarrowBand;
 use crate::mesh::{Mesh, MeshMeasures};
 use crate::parallel::Loops as _;
+use crate::particles::LONE_RADIUS;
 use crate::rasterize::{ParticleBins, Radii, Start};
 use crate::space::{CoordBox, Lattice};
 use crate::words::pluralize;
@@ -195,9 +196,13 @@ pub fn certificate(
 }
 
 /// Whether the inward offset is so large that a particle may end up outside: the corners of the cell that
-/// contains the particle need not all be inside.
+/// contains the particle need not all be inside. With kernels, that of a lone particle.
 fn may_leave_particles_outside(radii: &Radii) -> bool {
-    radii.offset < 0.0 && radii.depth_min() <= SURE_DEPTH
+    let depth = match radii.start {
+        Start::Spheres => radii.depth_min(),
+        Start::Kernels => LONE_RADIUS * radii.max + radii.offset,
+    };
+    radii.offset < 0.0 && depth <= SURE_DEPTH
 }
 
 /// A ball of this radius, in voxels, contains all corners of the cell around its centre: √3. In a smaller
@@ -362,7 +367,7 @@ pub fn check(part: &CheckedRegion) -> Checks {
 mod tests {
     use super::*;
     use crate::contour::{Contouring, contour};
-    use crate::particles::{OwnedPositions, ParticleCloud, Shapes};
+    use crate::particles::{Ellipsoid, OwnedPositions, ParticleCloud, Shapes};
     use crate::rasterize::{RasterFields, RasterParams, rasterize};
 
     /// Particles in a wavy sheet, and a few beside it.
@@ -414,6 +419,44 @@ mod tests {
             let checks = parts.map(part);
             assert!(checks.iter().all(|checks| checks.vertex_distance_max > 0.0));
             assert_eq!(checks.into_iter().fold(ParticleChecks::EMPTY, ParticleChecks::merge), whole);
+        }
+    }
+
+    /// However low the sum of kernels is, particles are inside, and the mesh is closed.
+    #[test]
+    fn particles_with_hardly_any_weight_are_inside() {
+        let radii =
+            Radii { start: Start::Kernels, room: 1.4, min_scale: 0.4, ..Radii::uniform(1.0, 3.2, 5.3) };
+        for (spacing, weight) in [(3.1, 0.01), (3.1, 0.06), (3.1, 0.2), (2.3, 0.05), (6.0, 0.5)] {
+            let at =
+                |index: usize| [index % 14, index / 14 % 14, index / 196].map(|along| spacing * along as f64);
+            let positions = OwnedPositions::F64((0..14 * 14 * 14).map(at).collect());
+            let shape = Ellipsoid { weight, ..Ellipsoid::ball(1.0) };
+            let shapes = Shapes::Ellipsoids(vec![shape; positions.len()]);
+            let cloud = ParticleCloud { shapes, ..ParticleCloud::from(positions) };
+            let lattice = Lattice { voxel_size: 1.0 };
+            let Ok(RasterFields { bins, band, .. }) = rasterize(&cloud, &RasterParams::open(lattice, radii));
+            let mesh = &contour(&band, &lattice, Contouring::Dual);
+            assert!(
+                mesh.triangles.len() > 1000 && mesh.measure().is_closed_manifold(),
+                "{spacing}, {weight}"
+            );
+            let cells = &MeshCells::new(mesh, &band, &lattice);
+            let (owned, exempt, lattice, band) = (CoordBox::ALL, &NoExclusions, &lattice, &band);
+            let rounding_voxels = 0.0;
+            let part = CheckedRegion {
+                bins: &bins,
+                radii,
+                band,
+                mesh,
+                cells,
+                rounding_voxels,
+                lattice,
+                owned,
+                exempt,
+            };
+            let checks = check(&part).particles;
+            assert_eq!(checks.particles_outside, 0, "{spacing}, {weight}: {checks:?}");
         }
     }
 
