@@ -222,7 +222,7 @@ const SHAPED_COUNT: f64 = 6e5;
 /// Measures and prints the time for shapes from neighbours.
 fn print_shapes(pools: &[ThreadPool; 2]) {
     let (particles, spacing) = frame(SHAPED_COUNT);
-    // As with the default settings, where the reach of kernels is 2 spacings, and h 0.32.
+    // As with the default settings, where the reach of kernels is 1.7 spacings, and h 0.32.
     let config = NeighborConfig {
         radius_world: 2.8 * spacing,
         weight_scale: 1.0,
@@ -231,7 +231,7 @@ fn print_shapes(pools: &[ThreadPool; 2]) {
             max_stretch: 2.0,
             floor: 0.5,
             kernels: Some(KernelConfig {
-                per_reach: 2.8 / 2.0,
+                per_reach: 2.8 / 1.7,
                 room_least: 0.03 / 0.32,
                 room_most: 0.45 / 0.32,
             }),

@@ -1,9 +1,8 @@
 //! Reconstructs smooth surfaces from particles.
 //!
 //! meniscus reconstructs surfaces from the particles of a simulation by the level-set method of Bhattacharya,
-//! Gao and Bargteil ("A Level-set Method for Skinning Animated Particle Data"): thin-plate flow smooths the
-//! surface, and two unions of spheres around the particles bound it from inside and from outside. A
-//! certificate lists the checks that the surface passed. The surface is bit-identical on any number of
+//! Gao and Bargteil ("A Level-set Method for Skinning Animated Particle Data"): it starts from a smooth
+//! sum of kernels, and thin-plate flow smooths the surface within bounds around that start. A certificate lists the checks that the surface passed. The surface is bit-identical on any number of
 //! threads.
 //!
 //! ```

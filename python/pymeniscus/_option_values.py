@@ -24,7 +24,7 @@ class OptionValues(TypedDict, total=False):
     voxel_size : float | str
         Voxel edge length h, positive, in world units or particle spacings [default: 0.32d]
     blend : float | str
-        Distance up to which particles blend with others, 3.09h to 64h: larger is smoother and joins drops earlier; with all presets but paper [default: 1.7d, but no less than 3.09h]
+        Distance up to which particles blend with others, 3.09h to 64h: larger is smoother, makes drops larger and joins them earlier; with all presets but paper [default: 1.7d, but no less than 3.09h]
     radius_min : float | str
         Radius r_min of the spheres that the surface encloses, positive, for `preset` paper [default: √3·h]
     radius_ratio : float
@@ -36,7 +36,7 @@ class OptionValues(TypedDict, total=False):
     where : str | Sequence[bool] | NDArray[np.bool_]
         Use only the particles whose attributes meet this condition, such as 'phase == 0' or 'type in 1,2 and not (density < 500)'; comparisons are ==, !=, <, <=, >, >=, in and not in
     radius_attribute : str
-        Attribute with each particle's own radius, in world units, such as pscale. A lone particle becomes a ball of this radius; its reach scales with it
+        Attribute with each particle's own radius, in world units, such as pscale. A particle without neighbours becomes a ball of this radius, unless `blend` is given
     radius_scale : float
         Factor from a particle's own radius to that of its ball, positive [default: 1]
     anisotropy : Literal["none", "neighbors", "velocity"]
@@ -48,7 +48,7 @@ class OptionValues(TypedDict, total=False):
     position_smoothing : float
         Move particles near the surface toward the mean of their neighbours by this fraction of the distance, 0 to 1 [default: 0.5]
     velocity_gain : float
-        Stretch each particle along its velocity by how far it moves in this time, in units of its r_min; positive, only for `anisotropy` velocity [default: 0.01]
+        Stretch each particle along its velocity by how far it moves in this time, in units of its radius; positive, up to `max_stretch`, only for `anisotropy` velocity [default: 0.01]
     void_threshold : float
         Fill gaps narrower than this between the surface and obstacles, in voxels, 0 to 4 [default: 1]
     velocity_scale : float

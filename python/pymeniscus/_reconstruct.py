@@ -49,8 +49,8 @@ def reconstruct(
 ) -> Surface:
     """The surface of one frame of particles.
 
-    The method smooths the surface as far as two unions of spheres around the particles allow: the surface
-    stays between them. The same particles and options give the same bytes on any number of threads. The call
+    The method starts from a smooth sum of kernels, and smooths the surface within bounds around that start.
+    The same particles and options give the same bytes on any number of threads. The call
     releases the interpreter's lock while it computes, and Ctrl-C interrupts it. Do not change the arrays
     during the call.
 

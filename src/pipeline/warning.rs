@@ -414,14 +414,14 @@ impl fmt::Display for SurfaceWarning {
             SurfaceWarning::Holes { particle_count, hole_count, voxel_size } => write!(
                 f,
                 "the surface of {particle_count} particles has {}: unless the fluid really has them, the voxel size {} \
-                 or the size of particles is too small for the particle spacing",
+                 or --blend is too small for the particle spacing",
                 pluralize(*hole_count, "hole"),
                 significant(*voxel_size)
             ),
             SurfaceWarning::Fragmented { particle_count, piece_count, voxel_size } => write!(
                 f,
                 "{particle_count} particles became {piece_count} pieces, none with half of the volume: unless they really are spray, \
-                 the voxel size {} or the size of particles is too small for the particle spacing",
+                 the voxel size {} or the blend is too small for the particle spacing",
                 significant(*voxel_size)
             ),
             SurfaceWarning::Blob { particle_count, width_voxels, voxel_size } => write!(

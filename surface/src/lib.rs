@@ -1,8 +1,8 @@
 //! Reconstructs smooth surfaces from particles, in memory.
 //!
 //! The method is the level-set method of Bhattacharya, Gao and Bargteil ("A Level-set Method for Skinning
-//! Animated Particle Data"): thin-plate flow smooths the surface, and two unions of spheres around the
-//! particles bound it from inside and from outside. The surface is bit-identical on any number of threads.
+//! Animated Particle Data"): it starts from a smooth sum of kernels, and thin-plate flow smooths the surface
+//! within bounds around that start. The surface is bit-identical on any number of threads.
 //!
 //! ```
 //! use meniscus_surface::{Options, reconstruct};

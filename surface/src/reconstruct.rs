@@ -29,8 +29,8 @@ use crate::storage::Storage;
 use crate::temporal::{OtherFrame, TimedFrame};
 use crate::{Options, Report};
 
-/// Reconstructs the surface of one frame of particles: smoothed by thin-plate flow, and kept between two
-/// unions of spheres around the particles.
+/// Reconstructs the surface of one frame of particles: a sum of kernels, smoothed by thin-plate flow
+/// within bounds around it; with the preset `paper`, a union of spheres within two others.
 ///
 /// `positions` are in world units: `&[[f32; 3]]` or `&[[f64; 3]]`, which are borrowed and not copied. The
 /// same particles and options give the same bits on any number of threads. The function computes in rayon's

@@ -74,10 +74,10 @@ fn as_f64<S: serde::Serializer>(number: &f32, serializer: S) -> Result<S::Ok, S:
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 #[non_exhaustive]
 pub struct ShapeStats {
-    /// Particles whose own r_min is too small for the grid; it was raised to √3·h.
+    /// Particles whose own radius is too small for the grid; it was raised to 1.1·h, or √3·h with spheres.
     #[serde(rename = "small_radii")]
     pub small_radius_count: usize,
-    /// The smallest of these r_min before it was raised, world units; 0 if none was raised.
+    /// The smallest of these radii before it was raised, times the radius scale, world units; 0 if none was raised.
     pub small_radius_min: f64,
     /// Particles whose r_max was lowered to the largest allowed.
     #[serde(rename = "large_radii")]
@@ -89,8 +89,8 @@ pub struct ShapeStats {
     /// stretched by neighbours.
     #[serde(rename = "near")]
     pub near_count: usize,
-    /// Stretched particles with a semi-axis below its lower limit, which was raised to that limit: √3·h, or
-    /// the thin radius for particles flattened by their neighbours.
+    /// Stretched particles with a semi-axis below its lower limit, which was raised to that limit: as for radii, or 0.9·h
+    /// for kernels flattened by their neighbours.
     #[serde(rename = "raised")]
     pub raised_count: usize,
     /// Particles that stayed balls although stretching is on: too few neighbours, or no finite velocity.

@@ -59,10 +59,12 @@ fn level_set_is_contoured_unchanged() {
     assert_eq!(names_in(&folder.join("out")), ["block.glb", "block.obj", "block.vdb"]);
     let [from_particles, again] =
         ["in/block.obj", "out/block.obj"].map(|file| info(folder, file)["mesh"].clone());
-    assert_eq!(again["triangles"], from_particles["triangles"]);
+    // The mesh in `in` is that of the paper, which is not refined where it is strongly curved.
+    let [expected, found] = [&from_particles, &again].map(|mesh| number(&mesh["triangles"]));
+    assert!((1.01..1.2).contains(&(found / expected)), "{found} {expected}");
     assert_eq!(again["boundary_edges"], 0);
     let [expected, found] = [&from_particles, &again].map(|mesh| number(&mesh["volume"]));
-    assert!((found / expected - 1.0).abs() < 1e-4, "{found} {expected}");
+    assert!((found / expected - 1.0).abs() < 1e-3, "{found} {expected}");
     // The output has the values of the input.
     let [one, other] = ["in/block.vdb", "out/block.vdb"].map(|file| info(folder, file)["grids"][0].clone());
     assert_eq!(one["active_voxels"], other["active_voxels"], "{one}");

@@ -281,10 +281,11 @@ fn each_cell_is_what_its_command_reads_and_measures() {
         }
     }
     // Without --vary, an option that is given is not varied.
-    let result = meniscus(path, &[&tune[..], &["--laplacian-steps", "2"]].concat());
+    let result = meniscus(path, &[&tune[..], &["--blend", "2d"]].concat());
     assert_eq!(result.status, 0, "{}", result.err);
-    assert!(result.out.contains("3: position-smoothing 0.5 (as typed): "), "{}", result.out);
-    assert_eq!(commands(&result.out).len(), 4);
+    let label = "11: position-smoothing 0.5, laplacian-steps 15 (without --vary): ";
+    assert!(result.out.contains(label), "{}", result.out);
+    assert_eq!(commands(&result.out).len(), 16);
 }
 
 #[test]
@@ -308,11 +309,7 @@ fn invalid_setting_leaves_the_other_cells() {
     let tune = ["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "blend=65h,7h"];
     let result = meniscus(path, &tune);
     assert_eq!(result.status, 1, "{} {}", result.out, result.err);
-    assert!(
-        result.err.contains("cell 1: blend 65h: the distance up to which particles blend 65h is "),
-        "{}",
-        result.err
-    );
+    assert!(result.err.contains("cell 1: blend 65h: the blend 65h is "), "{}", result.err);
     assert!(
         result.out.contains("showing dam.2.ply, one of 3 frames of ") && commands(&result.out).len() == 1,
         "{}",
@@ -330,7 +327,7 @@ fn invalid_setting_leaves_the_other_cells() {
     // If the common settings are invalid, there is nothing to compare.
     let result = meniscus(path, &["tune", ".", "-o", "u.png", "--blend", "-1"]);
     assert!(
-        result.status == 2 && result.err.contains("particles blend is -1") && !path.join("u.png").exists(),
+        result.status == 2 && result.err.contains("the blend is -1") && !path.join("u.png").exists(),
         "{}",
         result.err
     );

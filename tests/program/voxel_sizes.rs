@@ -106,7 +106,7 @@ fn every_command_refuses_voxels_that_are_too_small() {
     ] {
         let result = meniscus(path, &[command, &["--voxel-size", "1e-9"]].concat());
         assert_ne!(result.status, 0, "{command:?}: {}{}", result.out, result.err);
-        for words in ["particles blend is 0.", "to 6.4e-8, ", " to 64 voxels: choose another voxel size"] {
+        for words in ["the blend is 0.", "to 6.4e-8, ", " to 64 voxels: choose another voxel size"] {
             assert!(result.err.contains(words), "{command:?}: {}{}", result.out, result.err);
         }
         let result = meniscus(path, &[command, &["--preset", "paper", "--voxel-size", "1e-9"]].concat());

@@ -117,9 +117,9 @@ def values_of(group: bpy.types.PropertyGroup) -> dict[str, Any]:
 def coarse(values: dict[str, Any]) -> dict[str, Any]:
     """Options for a preview while a value is dragged: a coarse grid and few steps.
 
-    What moves the surface stays, so that a drag of these values shows their effect.
+    Of the others, only those stay that fit this grid: a blend is at least three voxels.
     """
-    kept = {"where", "radius_scale", "offset", "clip", "drop_islands", "spacing"}
+    kept = {"where", "radius_attribute", "radius_scale", "offset", "clip", "drop_islands", "spacing"}
     return {"preset": "preview", **{name: value for name, value in values.items() if name in kept}}
 
 

@@ -154,20 +154,24 @@ impl Grid {
     }
 }
 
-/// The options to vary: at most two. By default, those of [`DEFAULT`] that are not given.
+/// The options to vary: at most two. By default, the first of [`DEFAULT`] that are not given, and suit the others.
 fn axes(args: &TuneArgs) -> Result<Vec<VariedOption>> {
     let given = args.pictures.method.given();
     let is_given = |axis: &VariedOption| given.contains(&axis.name());
     if args.vary.is_empty() {
         let method = &args.pictures.method;
-        let is_effective = |axis: &VariedOption| {
-            let mut options = method.to_options();
-            axis.values.iter().take(1).for_each(|value| axis.put(value, &mut options));
-            !options.ineffective(!method.obstacle.is_empty()).iter().any(|(name, _)| *name == axis.name())
+        let suits = |axis: &VariedOption| {
+            axis.values.iter().all(|value| {
+                let mut options = method.to_options();
+                axis.put(value, &mut options);
+                let ineffective = options.ineffective(!method.obstacle.is_empty());
+                Settings::check(&options).is_ok() && !ineffective.iter().any(|(name, _)| *name == axis.name())
+            })
         };
         let usual = DEFAULT.iter().map(|text| text.parse::<VariedOption>().map_err(anyhow::Error::msg));
         return usual
-            .filter(|axis| axis.as_ref().ok().is_none_or(|axis| !is_given(axis) && is_effective(axis)))
+            .filter(|axis| axis.as_ref().ok().is_none_or(|axis| !is_given(axis) && suits(axis)))
+            .take(2)
             .collect();
     }
     let axes = args.vary.clone();
@@ -367,8 +371,9 @@ pub(in crate::cli) struct VariedOption {
     pub(super) values: Vec<String>,
 }
 
-/// What `tune` varies by itself.
-const DEFAULT: [&str; 2] = ["position-smoothing=0,0.25,0.5,0.75", "blend=1.4d,1.7d,2.1d,2.6d"];
+/// What `tune` varies by itself: two of these.
+const DEFAULT: [&str; 3] =
+    ["position-smoothing=0,0.25,0.5,0.75", "blend=1.4d,1.7d,2.1d,2.6d", "laplacian-steps=1,4,15,40"];
 
 impl VariedOption {
     /// The name of the option's field.

@@ -5,12 +5,13 @@
 //!        hashed                 a table in each node             a bit for each        its first root
 //! ```
 //!
-//! Inside a cell φ is trilinear, so along a ray it is a cubic polynomial. The intersection is therefore exact
-//! for the stored values, even if the fluid is very thin. Marching with fixed steps could miss thin fluid.
+//! Inside a cell φ is the tricubic spline with these [weights](meniscus_surface::level_set::spline_weights): with a trilinear one,
+//! small drops would have corners. Along a ray it is taken as the cubic polynomial through four points of the cell, so
+//! even very thin fluid is not missed, as it could be by marching with fixed steps.
 
 use glam::{DVec3, IVec3, Vec3};
 use meniscus_surface::grid::{Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, negative_masks, offset_in_leaf};
-use meniscus_surface::level_set::NarrowBand;
+use meniscus_surface::level_set::{NarrowBand, spline_weights};
 use meniscus_surface::space::{CoordBox, box_of, joined};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
@@ -121,7 +122,7 @@ impl<'a> RaySurface<'a> {
             if !crossed.cells.contains(offset_in_leaf(local)) {
                 continue;
             }
-            let along = Cubic::along(&self.corners(crossed, local), ray, cell, span);
+            let along = Cubic::along(&self.values_around(crossed, local), ray, cell, span);
             let entry = SurfaceSide::of(along.values[0]);
             let is_front = if *side == SurfaceSide::Unknown {
                 entry == SurfaceSide::Outside
@@ -140,17 +141,22 @@ impl<'a> RaySurface<'a> {
         None
     }
 
-    /// The values at the corners of a cell: corner x, y, z at index 4x + 2y + z.
-    fn corners(&self, leaf: &CrossedLeaf, cell: IVec3) -> [f32; 8] {
-        let values = &self.band.phi.leaves[leaf.around[13] as usize].values;
-        if cell.max_element() < LEAF_EDGE - 1 {
-            let first = offset_in_leaf(cell);
-            return [0, 1, 8, 9, 64, 65, 72, 73].map(|step| values[first + step]);
+    /// φ at the 4 × 4 × 4 voxels of a cell and of the cells around it.
+    fn values_around(&self, leaf: &CrossedLeaf, cell: IVec3) -> [f32; 64] {
+        let mut around = [0.0; 64];
+        if cell.min_element() > 0 && cell.max_element() < LEAF_EDGE - 2 {
+            let values = &self.band.phi.leaves[leaf.around[13] as usize].values;
+            let first = offset_in_leaf(cell - 1);
+            for (row, four) in around.as_chunks_mut::<4>().0.iter_mut().enumerate() {
+                let first = first + 64 * (row / 4) + 8 * (row % 4);
+                four.copy_from_slice(&values[first..first + 4]);
+            }
+            return around;
         }
-        std::array::from_fn(|corner| {
-            let corner = corner as i32;
-            self.value(leaf, cell + IVec3::new(corner >> 2, corner >> 1 & 1, corner & 1))
-        })
+        for (index, value) in (0..).zip(&mut around) {
+            *value = self.value(leaf, cell + IVec3::new(index / 16, index / 4 % 4, index % 4) - 1);
+        }
+        around
     }
 
     /// φ at a voxel, given relative to a leaf, in the leaf itself or in a neighbour leaf. If the neighbour is
@@ -167,8 +173,7 @@ impl<'a> RaySurface<'a> {
     /// φ at the voxels of a hit's cell and of the cells around it.
     fn around(&self, ray: &Ray, hit: &Hit) -> Stencil {
         let leaf = &self.crossed[hit.leaf as usize];
-        let voxel = |index: i32| hit.cell + IVec3::new(index / 16, index / 4 % 4, index % 4) - 1;
-        let values = std::array::from_fn(|index| self.value(leaf, voxel(index as i32)));
+        let values = self.values_around(leaf, hit.cell);
         let at = ray.at(hit.t) - (leaf.origin + hit.cell).as_dvec3();
         let at = at.as_vec3().clamp(Vec3::ZERO, Vec3::ONE);
         Stencil { values, at, leaf: leaf.around[13], cell: hit.cell }
@@ -279,11 +284,11 @@ struct Cubic {
 }
 
 impl Cubic {
-    fn along(corners: &[f32; 8], ray: &Ray, cell: IVec3, [first, last]: [f64; 2]) -> Cubic {
+    fn along(around: &[f32; 64], ray: &Ray, cell: IVec3, [first, last]: [f64; 2]) -> Cubic {
         let entry = (ray.at(first) - cell.as_dvec3()).as_vec3();
         let exit = (ray.at(last) - cell.as_dvec3()).as_vec3();
         let values = [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0];
-        Cubic { values: values.map(|part| trilinear(*corners, entry.lerp(exit, part))) }
+        Cubic { values: values.map(|part| tricubic(around, entry.lerp(exit, part))) }
     }
 
     /// The coefficients of the polynomial, the constant first.
@@ -335,6 +340,17 @@ impl Cubic {
 
 /// Number of steps of the false position method. The remaining error is far below the size of a pixel.
 const ROOT_STEPS: usize = 4;
+
+/// The spline through 4 × 4 × 4 values, at a point in the middle cell.
+fn tricubic(around: &[f32; 64], at: Vec3) -> f32 {
+    let [x, y, z] = at.to_array().map(spline_weights);
+    let mut sum = 0.0;
+    for (row, four) in around.as_chunks::<4>().0.iter().enumerate() {
+        let along_z: f32 = four.iter().zip(z).map(|(value, weight)| value * weight).sum();
+        sum += x[row / 4] * y[row % 4] * along_z;
+    }
+    sum
+}
 
 fn trilinear(corners: [f32; 8], at: Vec3) -> f32 {
     let mix = |one: f32, other: f32, part: f32| one + (other - one) * part;

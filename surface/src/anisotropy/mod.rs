@@ -74,10 +74,9 @@ const RAISED_BELOW: f32 = 0.999;
 
 // Scales from per-particle radii (paper, Fig. 13).
 //
-// The r_min of a particle is its radius times S, the radius scale of the settings. The ratios of its r_init
-// and r_max to its r_min are those of the settings. So the scale of a particle, in units of the settings'
-// radii, is S·radius / r_min, with r_min of the settings. Scales below a floor are raised to it, because the
-// grid cannot hold a smaller surface.
+// A lone particle is a ball of its radius times S, the radius scale of the settings; one of scale 1 has the unit
+// radius. So the scale of a particle is S·radius / unit radius. Scales below a floor are raised to it, because the grid
+// cannot hold a smaller surface.
 
 /// A scale per particle.
 #[derive(Clone, Debug, PartialEq)]
@@ -91,11 +90,11 @@ pub struct RadiusScales {
     pub invalid_count: usize,
 }
 
-/// Scales from radii in world units: `radius_scale` · radius / `radius_min`, but at least `floor`.
-/// `radius_min` is the settings' r_min in world units.
-pub fn radius_scales(radii: &[f32], radius_scale: f64, radius_min: f64, floor: f32) -> RadiusScales {
+/// Scales from radii in world units: `radius_scale` · radius / `unit_radius`, but at least `floor`. `unit_radius` is the
+/// radius of a lone particle of scale 1, in world units.
+pub fn radius_scales(radii: &[f32], radius_scale: f64, unit_radius: f64, floor: f32) -> RadiusScales {
     let scale_of = |&radius: &f32| {
-        let scale = (radius_scale * f64::from(radius) / radius_min) as f32;
+        let scale = (radius_scale * f64::from(radius) / unit_radius) as f32;
         // In 64 bits, a positive radius stays positive; a scale that rounds to 0 is raised.
         (radius > 0.0 && scale.is_finite()).then_some(scale)
     };
@@ -124,8 +123,8 @@ pub fn radius_scales(radii: &[f32], radius_scale: f64, radius_min: f64, floor: f
 /// How velocities shape particles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VelocityConfig {
-    /// s at a speed of one world unit per second: the gain of the settings, in seconds, divided by r_min. Not
-    /// negative.
+    /// s at a speed of one world unit per second: the gain of the settings, in seconds, divided by the
+    /// unit radius. Not negative.
     pub gain_per_speed: f32,
     /// Upper limit of the semi-axis along the velocity, relative to those across, before they are raised to
     /// the floor: 1 or more.
@@ -284,7 +283,7 @@ impl<V: Lanes> Surroundings<V> {
         let Eigen { values, vectors } = eigen(covariance);
         let [a, b, c] = values.map(|value| value.max(V::splat(SPREAD_MIN)));
         let flatness = V::splat(1.0).sub(a.min(b).min(c).div(a.max(b).max(c)).sqrt());
-        let weight = V::load(&moments[0]).sub(V::splat(ITSELF)).mul(V::load(weight_scales));
+        let weight = V::load(&moments[0]).sub(V::splat(OWN_WEIGHT)).mul(V::load(weight_scales));
         let gain = V::splat(1.0).add(V::splat(FLAT_GAIN).mul(flatness));
         let weight = weight.mul(gain);
         let company = smooth_step(weight, COMPANY_NONE, COMPANY_FULL);
@@ -333,11 +332,11 @@ impl<V: Lanes> Surroundings<V> {
 
 /// Whether a particle with this sum of weights is in full company, however flat its neighbourhood is.
 fn is_in_full_company(weight: f32, weight_scale: f32) -> bool {
-    (weight - ITSELF) * weight_scale >= COMPANY_FULL
+    (weight - OWN_WEIGHT) * weight_scale >= COMPANY_FULL
 }
 
 /// The weight of a particle at its own position.
-const ITSELF: f32 = 1.0;
+const OWN_WEIGHT: f32 = 1.0;
 
 /// `least` where `part` is 0, `most` where it is 1.
 #[inline(always)]

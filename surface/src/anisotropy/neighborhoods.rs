@@ -273,7 +273,7 @@ impl ParticleRun<'_> {
     /// Factor from the sum of weights of the particle in this slot to the one that its company is computed
     /// from.
     fn weight_scale(&self, slot: usize) -> f32 {
-        // Of larger particles fewer fit within the radius, and each stands for more fluid.
+        // Of larger particles fewer fit within the radius, and each represents more fluid.
         let size = (self.config.own_spacing * self.scale(slot)).max(1.0);
         self.config.weight_scale * (size * size * size)
     }

@@ -11,8 +11,7 @@
 //! A mean stays within the range of its inputs, exactly: it is clamped to their minimum and maximum. So a
 //! constant attribute stays constant.
 //!
-//! **Radius.** A vertex lies between r_min and r_max from the nearest particle, usually near r_init. R is
-//! 2·r_init; with the preset `paper` that is 1.5 r_max, or 2.6 particle spacings. On a regular lattice of
+//! **Radius.** R is 2·r_init: 2 particle spacings by default, and 2.6 with the preset `paper`. There, on a regular lattice of
 //! particles, a vertex then has about 20 particles within R, and at least 12. The weights fall to one half at
 //! 0.45 R, about 1.2 spacings. So the noise of single particles is smoothed, and a shear across a few
 //! particles is preserved. Particles may be larger than r_max (per-particle radii, ellipsoids). If no

@@ -15,8 +15,8 @@
 //! triangles. Both triangles of an edge see the same split, so the mesh stays closed and manifold.
 //!
 //! A new vertex starts in the middle of a cubic curve between the ends, and one step along ∇φ moves it onto the
-//! zero of the [tricubic spline](Sampler). So are the ends moved: some of them are not quite there, because they
-//! must stay in their cells. Normals are gradients of φ like those of all other vertices, so a reflection does not
+//! zero of the [tricubic spline](Sampler). The ends are moved in the same way: some are off the zero, because dual
+//! contouring keeps them in their cells. Normals are gradients of φ like those of all other vertices, so a reflection does not
 //! show where triangles were split. The steps are shorter than a part of the edge, so triangles do not fold.
 //!
 //! Triangles that are not split come first, in their order. The others follow, each with its lowest vertex

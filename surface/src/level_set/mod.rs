@@ -22,7 +22,7 @@ pub use rebuilt::{
     REBUILT_HALF_WIDTH, RebuildReason, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt,
 };
 pub use redistance::{Sweeps, UNREACHED, extend, extend_in, redistance, redistance_field, redistance_in};
-pub use sample::Sampler;
+pub use sample::{Sampler, spline_weights};
 
 use crate::grid::{
     Field, LEAF_EDGE, LEAF_VOXELS, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology, negative_masks,
@@ -59,9 +59,9 @@ impl NarrowBand {
 
 // The interval that constrains φ.
 
-/// Bounds from the outer and the inner union of spheres, on the topology of the band that they constrain. φ is
-/// negative inside, so the outer union gives the lower bound: `lower` = φ_max ≤ φ ≤ φ_min = `upper`. They are
-/// signed distances near the surface of their union, and open farther away.
+/// Bounds of φ, on the topology of the band that they constrain: from the outer and the inner union of spheres, or around
+/// a start of kernels. φ is negative inside, so the outer bound is the lower one: `lower` = φ_max ≤ φ ≤ φ_min = `upper`.
+/// Those of spheres are signed distances near the surface of their union, and open farther away.
 #[derive(Clone, Debug)]
 pub struct Bounds {
     /// Bounds of leaves, in voxels. Leaves with the same single value are stored once.

@@ -34,7 +34,7 @@ impl<'a> Sampler<'a> {
         // The four voxels along z are summed side by side, and joined at the end.
         let mut sums = [0.0; 4];
         let fraction = self.rows(voxel, step, |[x, y], values| add(&mut sums, x[0] * y[0], values))?;
-        Some(dot(sums, weights(fraction.z)))
+        Some(dot(sums, spline_weights(fraction.z)))
     }
 
     /// The value at `voxel + step`, and the gradient there, trilinear between the central differences at the voxels;
@@ -144,9 +144,10 @@ fn taps(local: i32) -> [Tap; 4] {
     })
 }
 
-/// The weights of the four voxels around a fraction from 0 to 1.
+/// The weights of the Catmull-Rom spline for the four voxels along an axis, two on each side of a point at `t`, from 0 to 1,
+/// between the two in the middle.
 #[inline(always)]
-fn weights(t: f32) -> [f32; 4] {
+pub fn spline_weights(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [
         0.5 * (-t + 2.0 * t2 - t3),
@@ -161,5 +162,5 @@ fn weights(t: f32) -> [f32; 4] {
 #[inline(always)]
 fn all_weights(t: f32) -> [[f32; 4]; 3] {
     let (from, to) = (0.5 * (1.0 - t), 0.5 * t);
-    [weights(t), [0.0, 1.0 - t, t, 0.0], [-from, -to, from, to]]
+    [spline_weights(t), [0.0, 1.0 - t, t, 0.0], [-from, -to, from, to]]
 }

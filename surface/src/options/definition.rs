@@ -161,8 +161,8 @@ method_options! {
             #[value(named("FRACTION"))]
             position_smoothing: f64 in 0.0..=1.0,
 
-            /// Stretch each particle along its velocity by how far it moves in this time, in units of its radius, up to
-            /// --max-stretch; positive, only for --anisotropy velocity [default: 0.01]
+            /// Stretch each particle along its velocity by how far it moves in this time, in units of its radius; positive,
+            /// up to --max-stretch, only for --anisotropy velocity [default: 0.01]
             #[value(named("SECONDS"))]
             velocity_gain: f64
                 => [OptionName::with_value("anisotropy", "velocity")],

@@ -50,11 +50,11 @@ pub struct Settings {
     pub voxel_size: f64,
     /// What smoothing starts from: spheres with the preset `paper`, kernels with all others.
     pub start: Start,
-    /// r_min, world units.
+    /// r_min, world units: of kernels, that of the ball around each particle that stays inside.
     pub radius_min: f64,
-    /// r_init, world units.
+    /// r_init, world units: closer than twice this distance, particles are one piece of fluid.
     pub radius_init: f64,
-    /// r_max, world units.
+    /// r_max, world units: of kernels, the reach of one in a sheet.
     pub radius_max: f64,
     /// How far the finished surface is moved outward, world units; negative values move it inward.
     pub offset: f64,
@@ -62,8 +62,8 @@ pub struct Settings {
     pub radius_ratio: f64,
     /// What is read of each file.
     pub reading: ReadOptions,
-    /// Per-particle radii. If set, the three radii above belong to a particle whose own radius is
-    /// `radius_min` / `scale`.
+    /// Per-particle radii. If set, the three radii above belong to a particle whose own radius is that of a
+    /// particle of scale 1, divided by `scale`.
     pub per_particle_radius: Option<PerParticleRadius>,
     /// How particles are stretched.
     pub anisotropy: Anisotropy,
@@ -113,7 +113,7 @@ pub struct Settings {
 pub struct PerParticleRadius {
     /// The attribute that holds the radii, world units.
     pub attribute: String,
-    /// A particle's r_min divided by its own radius.
+    /// The radius of a particle's surface when it is alone, divided by its own radius.
     pub scale: f64,
 }
 
@@ -123,7 +123,7 @@ impl PerParticleRadius {
         median(self.radii_min(attributes)).map(|radius| 2.0 * radius / self.scale)
     }
 
-    /// r_min of each particle whose own radius is positive and finite, world units.
+    /// The radius of the surface of each particle whose own radius is positive and finite, world units.
     pub fn radii_min(&self, attributes: &[Attribute]) -> Vec<f64> {
         let attribute = find_attribute(attributes, &self.attribute, 1);
         let radii = attribute.and_then(|attribute| attribute.values.numbers()).unwrap_or_default();
@@ -401,9 +401,8 @@ impl Settings {
         let offset =
             options.offset.and_then(Length::world).filter(|offset| offset.is_finite()).unwrap_or(0.0);
         let settings = Settings::paper(if offset == 0.0 { 1.0 } else { offset.abs() }, options)?;
-        // There are no particles to follow. The paper does not refine meshes.
-        let refine = options.preset != Some(Preset::Paper);
-        Ok(Settings { temporal: 0, spray: 0, rest: None, refine, ..settings })
+        // There are no particles to follow. The paper's mesh is not refined.
+        Ok(Settings { temporal: 0, spray: 0, rest: None, refine: true, ..settings })
     }
 
     /// The same settings for another voxel size: the lengths that depend on the voxel size become those of
@@ -502,9 +501,9 @@ impl Settings {
             || self.anisotropy != Anisotropy::None
     }
 
-    /// Approximate distance from the outermost particles of a fluid at rest to its surface, world units. With
-    /// anisotropy by neighbours, the surface lies where the fluid ends, half a spacing away. Otherwise it lies
-    /// at r_min or beyond. Pictures put the ground at this height.
+    /// Approximate distance from the outermost particles of a fluid at rest to its surface, world units: with kernels
+    /// the surface lies where the fluid ends, half a spacing away, and with spheres at r_min or beyond. Pictures put the
+    /// ground at this height.
     pub fn resting_height(&self) -> f64 {
         match self.start {
             Start::Kernels => 0.5 * self.spacing,

@@ -233,7 +233,7 @@ const VOXELS_PER_SPACING_MAX: f64 = 8.0;
 pub struct SequenceSpacing {
     /// The particle spacing d, world units.
     pub spacing: f64,
-    /// The median r_min of particles with per-particle radii, world units. The default voxel size is chosen
+    /// The median radius of particles with per-particle radii, times the radius scale, world units. The default voxel size is chosen
     /// small enough for this radius.
     pub radius_median: Option<f64>,
     /// How irregularly the particles are spaced: see [`IRREGULAR`]. `None` if it was not measured.

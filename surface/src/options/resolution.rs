@@ -118,11 +118,12 @@ pub(super) fn kernel_radii(scale: &Scale, options: &MethodOptions) -> Result<[f6
     let slack = 1e-9 * most;
     require((least - slack..=most + slack).contains(&reach), || {
         format!(
-            "the {}; it must be from {} h to {RADIUS_MAX_VOXELS} h, which is {} to {}",
+            "the {}; it must be from {} to {}, which is {} to {RADIUS_MAX_VOXELS} voxels{}",
             stated("blend", options.blend, reach),
-            significant(LEAST_REACH_VOXELS),
             significant(least),
             significant(most),
+            significant(LEAST_REACH_VOXELS),
+            if options.blend.is_none() { ": choose another voxel size" } else { "" },
         )
     })?;
     Ok([h, LINKED * reach, reach])

@@ -87,6 +87,13 @@ fn in_spacings(settings: &Settings) -> [f64; 7] {
 }
 
 #[test]
+fn help_states_the_least_blend() {
+    let help = MethodOptions::info("blend").expect("an option").help.concat();
+    let least = crate::words::significant((LEAST_REACH_VOXELS * 100.0).round() / 100.0).to_string();
+    assert_eq!(help.matches(&format!("{least}h")).count(), 2, "{help}");
+}
+
+#[test]
 fn finer_grid_keeps_lengths_and_times() {
     for spacing in [1.0, 0.3, 7e5] {
         let resolved = |voxels: f64| {
@@ -98,7 +105,7 @@ fn finer_grid_keeps_lengths_and_times() {
         };
         let usual = resolved(3.0);
         // The number of Laplacian steps is rounded.
-        for (voxels, slack) in [(2.7, 0.25), (4.0, 0.25), (6.0, 0.2)] {
+        for (voxels, slack) in [(2.7, 0.05), (4.0, 0.05), (6.0, 0.05)] {
             for (finer, usual) in resolved(voxels).into_iter().zip(usual) {
                 assert!((finer / usual - 1.0).abs() <= slack, "{voxels}: {finer} and not {usual}");
             }
@@ -179,8 +186,12 @@ fn lengths_out_of_range_are_named_as_typed() {
         ("offset", "0.2", "the offset is 0.2; it must be from -(radius of a lone particle) = -0.060"),
         ("voxel_size", "-1d", "the voxel size -1d is -0.1; it must be a positive number"),
         ("blend", "-1d", "the blend -1d is -0.1; it must be a positive number"),
-        ("blend", "2.5h", "the blend 2.5h is 0.08; it must be from 3.08799 h to 64 h, which is 0.098"),
-        ("blend", "65h", "the blend 65h is 2.08; it must be from 3.08799 h to 64 h, which is 0.098"),
+        ("blend", "2.5h", "the blend 2.5h is 0.08; it must be from 0.098"),
+        (
+            "blend",
+            "65h",
+            "the blend 65h is 2.08; it must be from 0.0988156 to 2.048, which is 3.08799 to 64 voxels",
+        ),
         ("neighbor_radius", "90d", "the neighbour radius 90d is 281.25 h; it must be at most 200 h"),
     ] {
         let error = Settings::resolve(&options(&[(name, text)]), Some(0.1.into())).expect_err(text);

@@ -16,21 +16,21 @@ use crate::simd::Lanes;
 /// Factor of q².
 const SLOPE: f32 = 0.8;
 
-/// The last term.
-const LEFT: f32 = 0.001_6;
+/// The value of the first term at q = 1, which is subtracted.
+const CUTOFF: f32 = 0.001_6;
 
 /// K, from q²; 0 beyond the reach.
 #[inline(always)]
 pub fn kernel<V: Lanes>(q_squared: V) -> V {
     let root = V::splat(1.0).sub(V::splat(SLOPE).mul(q_squared)).max(V::splat(0.0));
     let squared = root.mul(root);
-    squared.mul(squared).sub(V::splat(LEFT)).max(V::splat(0.0))
+    squared.mul(squared).sub(V::splat(CUTOFF)).max(V::splat(0.0))
 }
 
 /// q where K has this value; 0 for values above 1.
 #[inline(always)]
 pub fn inverse_kernel<V: Lanes>(value: V) -> V {
-    let root = value.add(V::splat(LEFT)).sqrt().sqrt();
+    let root = value.add(V::splat(CUTOFF)).sqrt().sqrt();
     V::splat(1.0).sub(root).max(V::splat(0.0)).mul(V::splat(1.0 / SLOPE)).sqrt()
 }
 

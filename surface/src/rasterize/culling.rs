@@ -47,6 +47,9 @@
 //! Where an obstacle's surface passes through a deep region, the fluid has a surface, too, so these leaves
 //! are near.
 //!
+//! With kernels, a voxel is certainly inside if all voxels within r_init of it, along the axes, are within r_init of a
+//! particle: the sum of kernels of such a body is far above the level. No particle in reach of a needed leaf is dropped.
+//!
 //! Validation uses the kept particles to find the inside where φ is not stored. If r_init is above √3, each
 //! kept particle alone shows that the voxels around it are inside; for a smaller r_init that does not hold,
 //! and no particle is dropped. For anisotropic particles, the set of deep leaves is kept for this purpose.
@@ -74,7 +77,7 @@ pub(super) struct Culling<'a> {
     occupied: Cow<'a, Topology>,
     /// Voxels that are certainly inside S_0, with all face neighbors.
     inside: Vec<LeafMask>,
-    /// Voxels whose exact distance is not needed: it is less than r_min.
+    /// Voxels whose exact distance is not needed: it is less than r_min, or, with kernels, they are certainly inside.
     settled: Vec<LeafMask>,
     /// The cells whose particles are kept.
     kept: Vec<LeafMask>,

@@ -64,8 +64,7 @@ pub struct Radii {
     pub init: f32,
     /// r_max: the surface stays inside these spheres.
     pub max: f32,
-    /// Lower bound of all semi-axes, in units of the radii, also at a particle's own `init`: 1 for uniform
-    /// balls.
+    /// Lower bound of all semi-axes, in units of the radii: 1 for uniform balls.
     pub min_scale: f32,
     /// The semi-axis for which the width of the band is computed, in units of the radii: 1 for uniform balls.
     /// If particles have longer semi-axes, the band is too narrow for the surface to move quite as far as

@@ -188,6 +188,7 @@ pub(super) fn smoothing_fields(settings: &Settings) -> f64 {
 /// Measured on blocks, sheets and spray.
 pub(super) fn mesh_bytes(settings: &Settings) -> f64 {
     match settings.contouring {
+        Contouring::Dual if settings.refine => 104.0,
         Contouring::Dual => 80.0,
         Contouring::Tetrahedra => 300.0,
     }

@@ -108,7 +108,7 @@ impl Certificate {
         let mut faults = Vec::new();
         if self.bound_violation_count > 0 {
             faults.push(format!(
-                "the level set is outside its bounds (distances to the r_min and r_max spheres) at {}",
+                "the level set is outside its bounds at {}",
                 pluralize(self.bound_violation_count, "voxel")
             ));
         }
