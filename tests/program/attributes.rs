@@ -250,7 +250,7 @@ fn voxel_size_is_small_enough_for_radii_from_a_column() {
     fs::rename(folder.join("f.bgeo"), folder.join("in/f.bgeo")).expect("moved");
     let watched = ["watch", "in", "--out", "w", "--once", "--radius-attribute", "pscale", "--log", "json"];
     let result = meniscus(folder, &watched);
-    assert!(result.status == 0 && result.err.contains("\"voxel_size\":0.0288675"), "{}", result.err);
+    assert!(result.status == 0 && result.err.contains("\"voxel_size\":0.032"), "{}", result.err);
 }
 
 /// If only some particles have a radius, the others get the smallest radius, with a warning. If no particle
