@@ -161,9 +161,7 @@ fn file_read_in_batches_gives_the_same_bytes() {
     assert!(file_bytes >= STREAMED_FROM_BYTES, "{file_bytes} bytes are read whole");
     let smoothing = ["--position-smoothing", "0.9"];
     let mut surfaces = Vec::new();
-    // With voxels this large, the defaults do not flatten particles.
-    let flat = ["--anisotropy", "neighbors"];
-    for more in [&[][..], &smoothing, &[&smoothing[..], &flat].concat(), &["--preset", "paper"]] {
+    for more in [&[][..], &smoothing, &["--blend", "5h"], &["--preset", "paper"]] {
         for (name, has_list) in files {
             let arguments = ["convert", name, "--out", "o", "--voxel-size", "0.1", "--format", "obj"];
             let result = meniscus(path, &[&arguments[..], more].concat());
