@@ -283,8 +283,9 @@ def rendered(surfaces, h, low, high):
     volume.matrix_world = Matrix.Translation((shift,) * 3) @ TO_Y_UP.inverted() @ volume.matrix_world
     volume.hide_render = True
     through = as_mesh(volume)
+    # The outermost points are drops, which its mesher makes smaller: see check_openvdb.py.
     away = bounds_away(through, low, high) / h
-    faults = [f"through Volume to Mesh, the bounds are off by {away:.2f} voxels"] if away > 0.3 else []
+    faults = [f"through Volume to Mesh, the bounds are off by {away:.2f} voxels"] if away > 0.6 else []
     material = clay()
     for obj in (mesh, through):
         obj.data.materials.clear()

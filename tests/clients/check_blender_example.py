@@ -48,7 +48,9 @@ def main():
     shutil.rmtree(FOLDER, ignore_errors=True)
     global example
     example = loaded()
-    status, said, _ = convert([OWN], FOLDER / "own", "--format", "glb,vdb,ply", "--attributes", "velocity")
+    # The paper's meshes have one vertex for each cell, as those that Blender makes of a .vdb.
+    options = ["--preset", "paper", "--format", "glb,vdb,ply", "--attributes", "velocity"]
+    status, said, _ = convert([OWN], FOLDER / "own", *options)
     check.line("own frames", f"exit status {status}", [said] if status else [])
     for label, examine, *wanted in (
         ("dam.####.glb", lambda: frames("glb"), "frame 11 is missing: dam shows dam.10.glb", "frame 3 is missing"),
@@ -287,7 +289,7 @@ def turned():
     """Checks Z up: with `--up z` the .glb records the axis, and the script sets it for a .vdb. Both must be
     at the positions of the particles."""
     out = FOLDER / "turned"
-    options = ["--format", "glb", "--up", "z", "--voxel-size", repr(voxel_size())]
+    options = ["--preset", "paper", "--format", "glb", "--up", "z", "--voxel-size", repr(voxel_size())]
     status, said, _ = convert([OWN / "dam.0005.bgeo"], out, *options)
     faults = [said] if status else []
     scene = empty_scene()
