@@ -1,7 +1,8 @@
-//! Finds out whether the first column of a table without names is an id instead of a coordinate.
+//! Finds out whether the first column of a table without names is an id or a type instead of a coordinate.
 //!
 //! ```text
 //!   17 0.11 0.52 0.34        a different integer in each row, then numbers with fractions: an id
+//!   2 0.11 0.52 0.34         integers, some of them equal, then numbers with fractions: unclear
 //!   0 0 0 0.05               the first column counts up by 1, and the others do not show whether it is an id:
 //!   1 0 0 0.05               unclear
 //!   1 0.11 0.52              counts up, then only two fractions: unclear
@@ -43,7 +44,7 @@ impl FirstColumn {
             // Of three columns, an id leaves only two for the position.
             3 if is_count && fraction_count == 2 => FirstColumn::Unclear,
             4.. if are_different && fraction_count == 3 => FirstColumn::Id,
-            4.. if is_count || (are_different && fraction_count > 0) => FirstColumn::Unclear,
+            4.. if is_count || fraction_count > 0 => FirstColumn::Unclear,
             _ => FirstColumn::Coordinate,
         }
     }
@@ -64,7 +65,7 @@ mod tests {
             ("in a plane", of(shuffled, 0.1, 0.2, 0.0, 4), FirstColumn::Unclear),
             ("a lattice of ids", of(counting, 1.0, 2.0, 3.0, 7), FirstColumn::Unclear),
             ("x of a lattice", of(shuffled, 1.0, 2.0, 3.0, 4), FirstColumn::Coordinate),
-            ("a type", of([1.0; 4], 0.1, 0.2, 0.3, 4), FirstColumn::Coordinate),
+            ("a type", of([1.0; 4], 0.1, 0.2, 0.3, 4), FirstColumn::Unclear),
             ("fractions", of([0.5, 1.0, 2.0, 3.0], 0.1, 0.2, 0.3, 4), FirstColumn::Coordinate),
             ("id, x and y", of(counting, 0.1, 0.2, f64::NAN, 3), FirstColumn::Unclear),
             ("a row of particles", of(counting, 0.0, 0.0, f64::NAN, 3), FirstColumn::Coordinate),

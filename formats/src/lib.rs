@@ -65,7 +65,6 @@ mod vertex_attributes;
 pub mod vtk;
 pub mod xdmf;
 mod xml;
-pub mod xyz;
 pub mod xyz_ext;
 mod zstd;
 

@@ -190,7 +190,6 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
             _ if is_text(first_line) && csv::names_position(first_line) => {
                 ProbedKind::Format(Format::Delimited)
             }
-            _ if name.ends_with(".xyz") => ProbedKind::Format(Format::RawXyz),
             _ if name.ends_with(".bobj") => ProbedKind::Foreign(BOBJ),
             _ => ProbedKind::Unknown,
         };
@@ -730,7 +729,7 @@ mod tests {
                 "a",
                 ProbedKind::Format(Format::Npz),
             ),
-            (b"\x00\x00\x80\x3f\x00\x00\x80\x3f", "a.xyz", ProbedKind::Format(Format::RawXyz)),
+            (b"\x00\x00\x80\x3f\x00\x00\x80\x3f", "a.xyz", ProbedKind::Unknown),
             (b"\x00\x00\x80\x3f\x00\x00\x80\x3f", "a.bin", ProbedKind::Unknown),
             (b"\xff", "a", ProbedKind::UnknownText),
             (b"\x1f\x8b", "a.bgeo", ProbedKind::Empty),

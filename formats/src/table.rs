@@ -124,7 +124,6 @@ formats! {
         /// XYZ atoms as text: a count, a comment, then one atom per line; frames can follow one another.
         XyzAtoms => crate::xyz_ext::ROW,
         /// Positions as raw 32-bit floats.
-        RawXyz => crate::xyz::ROW,
         /// One NumPy array.
         Npy => crate::npy::ROW,
         /// Point clouds of the Point Cloud Library.

@@ -118,7 +118,7 @@ impl<'a> Naming<'a> {
             None if AXES.iter().any(|axis| has_name(&names, axis)) => {
                 return format!("{expected}; found {found}: {}", add_missing_axes(&names));
             }
-            None => "x=NAME,y=NAME,z=NAME".to_owned(),
+            None => "x=NAME,y=NAME,z=NAME, or by their numbers from 1 on".to_owned(),
         };
         format!("{expected}; found {found}: name the columns, as in --columns {columns}")
     }
@@ -195,10 +195,14 @@ pub(super) fn layout(bytes: &[u8], naming: Naming) -> Result<TableLayout> {
             return Err(Error::unsupported(FORMAT, what));
         }
         if let Some(comment) = comment(line.text) {
-            head.take_comment(comment, naming);
+            head.take_comment(line, comment, naming);
             continue;
         }
         let row = row_shape(line.text);
+        if row.is_some_and(|(delimiter, _)| counts_rows(line.text, delimiter, &bytes[lines.at..])) {
+            head.count = Some(line);
+            continue;
+        }
         let next = if row.is_some() { lines.peek_row().ok().flatten() } else { lines.peek_row()? };
         if let Some((delimiter, count)) = row {
             let is_row = |next: &[u8]| has_cells(next, delimiter, count) && has_fraction(next, delimiter);
@@ -236,10 +240,11 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
     let naming = Naming::unchanged(&limits);
     let mut lines = HeadLines::new(&text, &limits);
     let mut has_header = false;
-    let mut text_last: Option<&[u8]> = None;
+    let (mut text_last, mut above): (Option<&[u8]>, Option<&[u8]>) = (None, None);
     while let Ok(Some(line)) = lines.next_line() {
         if let Some(comment) = comment(line.text) {
             has_header |= !headers_in_comment(comment, naming).is_empty();
+            above = has_letters(comment).then_some(line.text).or(above);
             continue;
         }
         if let Some(delimiter) =
@@ -247,7 +252,7 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
         {
             // The header of a table of other quantities names no position.
             let count = cells(line.text, delimiter).count();
-            return !text_last.is_some_and(|text| is_header_like(text, delimiter, count));
+            return has_header || above.is_none_or(|above| names_above(above, delimiter, count).is_none());
         }
         let Ok(next) = lines.peek_row() else { return false };
         let is_above = |(delimiter, mut header): (Delimiter, NamedColumns)| {
@@ -259,6 +264,7 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
             return true;
         }
         text_last = Some(line.text);
+        above = text_last;
     }
     has_header && text_last.is_none()
 }
@@ -271,19 +277,23 @@ pub(crate) fn is_other_table(head: &[u8], may_be_log: bool) -> bool {
     let (text, limits) = (super::decoded(head), Limits::default());
     let naming = Naming::unchanged(&limits);
     let mut lines = HeadLines::new(&text, &limits);
-    let mut names_position = false;
-    let mut next = || loop {
-        let line = lines.next_line().ok().flatten()?.text;
-        let Some(comment) = comment(line) else { return Some(line) };
-        names_position |= !headers_in_comment(comment, naming).is_empty();
-    };
-    let (Some(first), Some(second)) = (next(), next()) else { return false };
-    let rows: Vec<&[u8]> = [first, second].into_iter().chain(std::iter::from_fn(next)).collect();
-    if let Some((delimiter, _)) = row_shape(first) {
+    let (mut names_position, mut above, mut rows) = (false, None, Vec::new());
+    while let Ok(Some(line)) = lines.next_line() {
+        match comment(line.text) {
+            Some(comment) => {
+                names_position |= !headers_in_comment(comment, naming).is_empty();
+                above = (rows.is_empty() && has_letters(comment)).then_some(line.text).or(above);
+            }
+            None => rows.push(line.text),
+        }
+    }
+    let &[first, second, ..] = &rows[..] else { return false };
+    if let Some((delimiter, count)) = row_shape(first) {
+        let names_others = above.is_some_and(|above| names_above(above, delimiter, count).is_some());
         let times = numbers_in(&rows, 0, delimiter);
         // Ids increase, too, but are whole.
         let has_fraction = times.iter().any(|time| time.fract() != 0.0);
-        return may_be_log && !names_position && has_fraction && increase(&times);
+        return !names_position && (names_others || may_be_log && has_fraction && increase(&times));
     }
     let is_row = |row: &[u8], delimiter, count| {
         let is_number =
@@ -292,7 +302,9 @@ pub(crate) fn is_other_table(head: &[u8], may_be_log: bool) -> bool {
     };
     let fits = |&delimiter: &Delimiter| {
         let count = cells(first, delimiter).count();
-        count > 1 && is_header_like(first, delimiter, count) && is_row(second, delimiter, count)
+        count > 1
+            && names_above(first, delimiter, count).is_some_and(|names| names.len() == count)
+            && is_row(second, delimiter, count)
     };
     let Some(delimiter) = DELIMITERS.into_iter().find(fits) else { return false };
     if headers(first, naming).next().is_none() {
@@ -354,6 +366,10 @@ struct TableHead<'a> {
     text_first: Option<HeadLine<'a>>,
     /// The last of these lines.
     text_last: Option<HeadLine<'a>>,
+    /// The last line with letters, in a comment or not.
+    above: Option<HeadLine<'a>>,
+    /// A row with the number of the rows below it.
+    count: Option<HeadLine<'a>>,
     /// The last comment that names a position.
     comment: Option<&'a [u8]>,
     /// The first line that names a position although the next line has a different number of cells: the
@@ -362,7 +378,10 @@ struct TableHead<'a> {
 }
 
 impl<'a> TableHead<'a> {
-    fn take_comment(&mut self, comment: &'a [u8], naming: Naming) {
+    fn take_comment(&mut self, line: HeadLine<'a>, comment: &'a [u8], naming: Naming) {
+        if has_letters(comment) {
+            self.above = Some(line);
+        }
         // A comment with too many words is prose or numbers: not an error, but not a header either.
         if !headers_in_comment(comment, naming).is_empty() {
             self.comment = Some(comment);
@@ -381,6 +400,7 @@ impl<'a> TableHead<'a> {
         }
         self.text_first.get_or_insert(line);
         self.text_last = Some(line);
+        self.above = Some(line);
         Ok(())
     }
 
@@ -410,10 +430,24 @@ impl<'a> TableHead<'a> {
             let notes = TableHead { text_line_count, text_first, ..self }.notes();
             return Ok(header.into_layout(delimiter, row.offset, row.number, notes));
         }
-        if let Some(text) = self.text_last.filter(|text| is_header_like(text.text, delimiter, count)) {
-            return Err(no_position(text, delimiter, naming));
-        }
         check_column_count(count, naming.limits)?;
+        if let Some(line) = self.above
+            && let Some(names) = names_above(line.text, delimiter, count)
+        {
+            let what = naming.why_none_among(names);
+            return Err(Error::invalid(FORMAT, Position::Line(line.number), what));
+        }
+        if self.text_line_count > PROSE_LINES_MAX
+            && naming.renamed.is_empty()
+            && row_count(&bytes[row.offset..]) < self.text_line_count
+        {
+            let what = format!(
+                "expected a table, found {} lines of text above fewer rows: name the columns with --columns if these are \
+                 particles",
+                self.text_line_count
+            );
+            return Err(Error::invalid(FORMAT, Position::Line(row.number), what));
+        }
         let mut notes = self.notes();
         let written: Vec<String> = (0..count).map(column_name).collect();
         if let Some(header) = naming.position_among(written.clone()) {
@@ -421,9 +455,9 @@ impl<'a> TableHead<'a> {
         }
         let first = FirstColumn::of(first_numbers(&bytes[row.offset..], delimiter), count);
         if first == FirstColumn::Unclear {
-            let what = "the table has no header, and its first column has a different integer in each row: it may \
-                        be an id or a position; add a header that names the columns, such as id,x,y,z, or name them with \
-                        --columns x=2,y=3,z=4";
+            let what = "the table has no header, and its first column has whole numbers, unlike those beside it: it may \
+                        be an id, a type or a position; name the columns, as in --columns x=2,y=3,z=4, or --columns \
+                        x=1,y=2,z=3 if the first one is x";
             return Err(Error::invalid(FORMAT, Position::Line(row.number), what));
         }
         let skipped = usize::from(first == FirstColumn::Id);
@@ -474,18 +508,17 @@ impl<'a> TableHead<'a> {
     }
 
     fn notes(&self) -> Vec<String> {
-        match (self.text_line_count, self.text_first) {
-            (1, Some(first)) => {
-                vec![format!("skipped a line above the table: {}", quoted_excerpt(first.text))]
-            }
-            (count, Some(first)) => {
-                vec![format!(
-                    "skipped {count} lines above the table; the first is {}",
-                    quoted_excerpt(first.text)
-                )]
-            }
-            (_, None) => Vec::new(),
-        }
+        let text = self.text_first.map(|first| match (self.text_line_count, quoted_excerpt(first.text)) {
+            (1, first) => format!("skipped a line above the table: {first}"),
+            (count, first) => format!("skipped {count} lines above the table; the first is {first}"),
+        });
+        let count = self.count.map(|line| {
+            format!(
+                "the row {} is no particle: it has the number of rows below it",
+                quoted_excerpt(line.text)
+            )
+        });
+        text.into_iter().chain(count).collect()
     }
 }
 
@@ -560,9 +593,19 @@ fn header(line: &[u8], delimiter: Delimiter, naming: Naming) -> Result<Option<Na
     if !has_enough_cells(line, delimiter) {
         return Ok(None);
     }
+    let names = names_in(line, delimiter, naming.limits)?;
+    if delimiter == Delimiter::Byte(b'\t') && names.iter().skip(1).any(String::is_empty) {
+        return Ok(None); // consecutive tabs align the columns: blanks are the delimiter
+    }
+    let or_number = |(index, name): (usize, String)| if name.is_empty() { column_name(index) } else { name };
+    Ok(naming.position_among(names.into_iter().enumerate().map(or_number).collect()))
+}
+
+/// The names of columns in a line; without the last one if it is empty.
+fn names_in(line: &[u8], delimiter: Delimiter, limits: &Limits) -> Result<Vec<String>> {
     let mut names: Vec<String> = Vec::new();
     for cell in cells(line, delimiter) {
-        check_column_count(names.len(), naming.limits)?;
+        check_column_count(names.len(), limits)?;
         let name = String::from_utf8_lossy(&unquoted(cell)).trim().to_string();
         match names.last_mut() {
             // With blanks as delimiter, the unit of `x [m]` is a cell of its own. It belongs to the name.
@@ -575,15 +618,7 @@ fn header(line: &[u8], delimiter: Delimiter, naming: Naming) -> Result<Option<Na
     if names.last().is_some_and(String::is_empty) {
         names.pop();
     }
-    if delimiter == Delimiter::Byte(b'\t') && names.iter().skip(1).any(String::is_empty) {
-        return Ok(None); // consecutive tabs align the columns: blanks are the delimiter
-    }
-    for (index, name) in names.iter_mut().enumerate() {
-        if name.is_empty() {
-            *name = column_name(index);
-        }
-    }
-    Ok(naming.position_among(names))
+    Ok(names)
 }
 
 /// Groups the columns by their names. Text columns do not form vectors with numeric ones.
@@ -663,10 +698,48 @@ fn has_enough_cells(line: &[u8], delimiter: Delimiter) -> bool {
     cells(line, delimiter).nth(2).is_some()
 }
 
-/// Whether the line can only be a header: it has as many cells as the row below it, and all of them are text.
-fn is_header_like(line: &[u8], delimiter: Delimiter, count: usize) -> bool {
-    let is_text = |cell| matches!(parse_cell(&unquoted(cell)), CellValue::Text);
-    has_cells(line, delimiter, count) && cells(line, delimiter).take(count).all(is_text)
+/// The names in the line above a row of `count` cells, behind any mark of a comment, if it can only be a header: a name
+/// for each cell, or a time first. Blanks are between its names only if they are between the numbers.
+fn names_above(line: &[u8], delimiter: Delimiter, count: usize) -> Option<Vec<String>> {
+    let line = line.trim_ascii_start();
+    let mark_count = line.iter().take_while(|byte| b"#%/!;".contains(byte)).count();
+    let is_possible = |other: &Delimiter| *other != Delimiter::Blanks || delimiter == Delimiter::Blanks;
+    // A semicolon may be the delimiter behind an empty name.
+    let starts = [mark_count, 0].into_iter().filter(|&start| start == mark_count || line.starts_with(b";"));
+    let texts =
+        starts.flat_map(|start| DELIMITERS.into_iter().filter(is_possible).map(move |other| (start, other)));
+    texts.filter_map(|(start, other)| names_in(&line[start..], other, &Limits::default()).ok()).find(
+        |names| {
+            let is_of_time = mark_count > 0 && names.first().is_some_and(|name| super::is_time(name));
+            let is_text = |name: &String| parse_cell(name.as_bytes()) == CellValue::Text;
+            (names.len() == count || is_of_time) && names.iter().all(is_text)
+        },
+    )
+}
+
+fn has_letters(text: &[u8]) -> bool {
+    text.iter().any(u8::is_ascii_alphabetic)
+}
+
+/// Whether a row of whole numbers starts with the number of the rows below it, as in OFF and TetGen.
+fn counts_rows(row: &[u8], delimiter: Delimiter, below: &[u8]) -> bool {
+    let number = |cell| match parse_cell(&unquoted(cell)) {
+        CellValue::Number(number) => Some(number),
+        CellValue::Missing | CellValue::Text => None,
+    };
+    let mut numbers = cells(row, delimiter).filter(|cell| !cell.is_empty()).map(number);
+    let Some(Some(count)) = numbers.next() else { return false };
+    let is_whole = |number: Option<f64>| number.is_some_and(|number| number.fract() == 0.0);
+    count >= FIRST_COUNT && count.fract() == 0.0 && numbers.all(is_whole) && row_count(below) as f64 == count
+}
+
+/// The least number of rows that a row above them counts: fewer may be a coordinate by chance.
+const FIRST_COUNT: f64 = 4.0;
+
+/// The number of lines that are neither blank nor a comment.
+fn row_count(rows: &[u8]) -> u64 {
+    let lines = rows.split(|byte| matches!(byte, b'\n' | b'\r'));
+    lines.filter(|line| !line.trim_ascii().is_empty() && comment(line).is_none()).count() as u64
 }
 
 fn check_column_count(count: usize, limits: &Limits) -> Result<()> {
@@ -675,12 +748,6 @@ fn check_column_count(count: usize, limits: &Limits) -> Result<()> {
     }
     let what = format!("the file has more columns than the limit of {}", limits.attribute_count);
     Err(Error::too_large(FORMAT, what))
-}
-
-fn no_position(header: HeadLine, delimiter: Delimiter, naming: Naming) -> Error {
-    let names =
-        cells(header.text, delimiter).map(|cell| String::from_utf8_lossy(&unquoted(cell)).into_owned());
-    Error::invalid(FORMAT, Position::Line(header.number), naming.why_none_among(names.collect()))
 }
 
 /// The text with decimal points instead of decimal commas, as in French and German, if one of the first rows
@@ -720,6 +787,10 @@ pub(super) fn decimal_commas(line: u64) -> Error {
 
 /// From this many lines of text on, a line of three numbers, such as the edges of a box, is no table.
 const TEXT_LINES_MAX: u64 = 100;
+
+/// With more lines of text above it, a table without a header has at least as many rows. Otherwise it is another kind
+/// of text, one of whose lines has three numbers.
+const PROSE_LINES_MAX: u64 = 10;
 
 /// The text after a comment mark.
 pub(super) fn comment(line: &[u8]) -> Option<&[u8]> {
