@@ -51,7 +51,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
     let (destination, folder, formats) = Destination::of(args, console)?;
     let mut outputs = formats.outputs(folder)?;
     outputs.spray = formats.spray(&args.method, &outputs);
-    if outputs.stage.is_some() && !matches!(destination, Destination::Folder) {
+    if outputs.stage.is_some() && !destination.is_folder() {
         bail!("--stage plays the files of a folder: name a folder with --out");
     }
     if args.particles_only {
@@ -101,9 +101,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
     let obstacles = Arc::new(obstacle_files(&args.method)?);
     let out_folder = OutFolder::make(&outputs.folder)?;
     // Only a folder of results has records.
-    let records = matches!(destination, Destination::Folder)
-        .then(|| open_records(&outputs.folder, console))
-        .transpose()?;
+    let records = destination.is_folder().then(|| open_records(&outputs.folder, console)).transpose()?;
     let plan = ConvertPlan {
         sequence_files: SequenceOutputs::new(args, &outputs, selection.sequences.len(), fps)?,
         selection,
@@ -388,7 +386,7 @@ fn shard_of(
     outputs: &OutputOptions,
 ) -> Result<Option<FrameShard>> {
     let Some(choice) = args.shard else { return Ok(None) };
-    if !matches!(destination, Destination::Folder) {
+    if !destination.is_folder() {
         bail!("--shard writes into a folder that all shards share: name a folder with --out");
     }
     if !outputs.folder.is_dir() {

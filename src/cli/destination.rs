@@ -2,6 +2,7 @@
 //!
 //! ```text
 //!   --out shot        a folder: one file for each frame and format
+//!   -o w.####.glb     the same, in the folder before the name, with names of this pattern
 //!   -o dam.ply        a file, unless a folder has this name: one frame, in the format of its extension
 //!   -o -              the standard output: one frame, in one format; lines for the user go to the standard error
 //! ```
@@ -10,6 +11,7 @@
 //! standard output is written to a temporary folder first, so that an error never leaves half a mesh in the
 //! pipe.
 
+use std::collections::HashSet;
 use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{self, IsTerminal, Read, Write};
@@ -20,7 +22,7 @@ use meniscus_formats::listed;
 use tempfile::TempDir;
 
 use crate::pipeline::{
-    OutFolderError, OutputFormat, STANDARD_INPUT, make_out_folder, show_as, sweep_temporaries,
+    NumberPattern, OutFolderError, OutputFormat, STANDARD_INPUT, make_out_folder, show_as, sweep_temporaries,
     write_atomically,
 };
 
@@ -33,8 +35,8 @@ use super::wording::pluralize;
 
 /// Where the results are written.
 pub(super) enum Destination {
-    /// Into a folder, named after their frames.
-    Folder,
+    /// Into a folder, named after their frames, or by this pattern with their numbers.
+    Folder { pattern: Option<String> },
     /// One frame, into a file of this name.
     File { out: PathBuf, stem: String },
     /// One frame, to the standard output, by way of this temporary folder.
@@ -53,22 +55,30 @@ impl Destination {
         args: &ConvertArgs,
         console: &mut Console,
     ) -> Result<(Destination, PathBuf, FormatArgs)> {
-        let out = args.out.clone().unwrap_or_default();
+        let Some(out) = args.out.clone().or_else(|| args.print_settings.then(PathBuf::new)) else {
+            let last =
+                args.inputs.last().filter(|last| args.inputs.len() > 1 && file_extension(last).is_some());
+            let example =
+                last.map_or("--out surfaces".to_owned(), |last| format!("--out {}", last.display()));
+            bail!("--out is missing: name a folder or a file for the results, as in {example}");
+        };
         let (destination, folder, format) = if is_stdout(&out) {
             let format = only_format(args)?;
             if args.print_settings {
                 // Nothing is converted, and the settings are printed on the standard output.
-                (Destination::Folder, out, Some(format))
+                (Destination::Folder { pattern: None }, out, Some(format))
             } else {
                 Destination::stdout(&out, format, console)?
             }
+        } else if let Some(pattern) = name_pattern(&out) {
+            Destination::pattern(out, pattern, args.formats.format.as_deref())?
         } else if let Some(extension) = file_extension(&out) {
             Destination::file(out, &extension, args.formats.format.as_deref())?
         } else {
             refuse_other_extension(&out)?;
-            (Destination::Folder, out, args.particles_only.then_some(OutputFormat::Ply))
+            (Destination::Folder { pattern: None }, out, args.particles_only.then_some(OutputFormat::Ply))
         };
-        if args.skip_done && !matches!(destination, Destination::Folder) {
+        if args.skip_done && !destination.is_folder() {
             bail!(
                 "--skip-done compares results with the records in their folder: name a folder with --out, or \
                  leave --skip-done out"
@@ -94,6 +104,33 @@ impl Destination {
         Ok((Destination::Stdout { folder, extension: format.extension() }, path, Some(format)))
     }
 
+    /// Whether the results are the files of a folder, which has records of them.
+    pub(super) fn is_folder(&self) -> bool {
+        matches!(self, Destination::Folder { .. })
+    }
+
+    /// Files in the folder of `out`, with names of this pattern, which has an extension unless formats are given.
+    fn pattern(out: PathBuf, pattern: String, formats: Option<&[OutputFormat]>) -> Result<OutputTarget> {
+        let folder = folder_of(&out).to_owned();
+        let Some(extension) = file_extension(&out) else {
+            if formats.is_none() {
+                refuse_other_extension(&out)?;
+            }
+            return Ok((Destination::Folder { pattern: Some(pattern) }, folder, None));
+        };
+        let stem = pattern[..pattern.len() - extension.len() - 1].to_owned();
+        let format = OutputFormat::from_extension(&extension);
+        if formats.is_some_and(|formats| format.is_none_or(|format| !formats.contains(&format))) {
+            return Err(contradicts_format(&out, &extension));
+        }
+        match Destination::file(out, &extension, None)? {
+            (Destination::File { .. }, folder, format) => {
+                Ok((Destination::Folder { pattern: Some(stem) }, folder, format))
+            }
+            other => Ok(other),
+        }
+    }
+
     fn file(out: PathBuf, extension: &str, formats: Option<&[OutputFormat]>) -> Result<OutputTarget> {
         let name = out.display();
         let format = OutputFormat::from_extension(extension).filter(|format| !format.is_picture());
@@ -117,7 +154,9 @@ impl Destination {
     /// If several frames would go into one file.
     pub(super) fn name_outputs(&self, selection: &mut InputSelection) -> Result<()> {
         let (target, stem) = match self {
-            Destination::Folder => return Ok(()),
+            Destination::Folder { pattern } => {
+                return pattern.as_deref().map_or(Ok(()), |pattern| name_by(pattern, selection));
+            }
             Destination::File { out, stem } => (out.display().to_string(), stem.clone()),
             Destination::Stdout { .. } => ("the standard output".to_owned(), STDOUT_STEM.to_owned()),
         };
@@ -149,6 +188,38 @@ impl Destination {
             .context("cannot write to the standard output")?;
         Ok(outcome)
     }
+}
+
+/// The name in a path, if it has a placeholder for a number.
+fn name_pattern(out: &Path) -> Option<String> {
+    let name = out.file_name()?.to_str().filter(|_| !is_existing_or_named_folder(out))?;
+    NumberPattern::find(name).map(|_| name.to_owned())
+}
+
+/// Sets the output names of all frames: the pattern with their numbers.
+///
+/// # Errors
+/// If a frame has no number, or two have the same.
+fn name_by(pattern: &str, selection: &mut InputSelection) -> Result<()> {
+    let name = NumberPattern::find(pattern).with_context(|| format!("{pattern}: expected a placeholder"))?;
+    let mut numbers = HashSet::new();
+    for frame in selection.sequences.iter_mut().flat_map(|sequence| &mut sequence.selected) {
+        let Some(number) = frame.number() else {
+            bail!(
+                "{}: the frame has no number for {pattern}: name a folder or a file with --out",
+                frame.name()
+            );
+        };
+        if !numbers.insert(number) {
+            bail!(
+                "{}: two frames have the number {number}, and {pattern} has one place for it: convert one \
+                   sequence, or name a folder with --out",
+                frame.name()
+            );
+        }
+        *frame = frame.clone().with_output_stem(name.name_of(number));
+    }
+    Ok(())
 }
 
 /// A temporary folder, which is removed with its contents when the process ends, interrupted or not.

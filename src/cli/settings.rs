@@ -253,6 +253,16 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
             warnings.push(format!("{} is ignored: it affects {} only", option_name(name), kinds(&changed)));
         }
     }
+    let has_unit = |format: &OutputFormat| format.has_option(WriteOption::MetersPerUnit);
+    if formats.meters_per_unit.is_some_and(|meters| meters != 1.0)
+        && written.iter().any(has_unit)
+        && written.contains(&OutputFormat::Glb)
+    {
+        warnings.push(
+            "--meters-per-unit does not scale .glb, whose unit is the metre: its mesh keeps world units"
+                .to_owned(),
+        );
+    }
     warnings
 }
 

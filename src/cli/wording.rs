@@ -3,7 +3,7 @@
 use std::fmt;
 use std::time::Duration;
 
-use crate::pipeline::{FrameReport, FrameWarning, InputWarning, Job, SurfaceWarning, Warning};
+use crate::pipeline::{FrameReport, FrameWarning, InputWarning, Job, ParticleSize, SurfaceWarning, Warning};
 use crate::surface::options::Start;
 pub(in crate::cli) use crate::surface::words::{pluralize, rounded_down, shortest, significant};
 
@@ -82,8 +82,16 @@ fn remedy(warning: &Warning) -> Option<String> {
         Warning::Input(InputWarning::SeveralKinds { attribute, .. }) => {
             format!("choose some with --where, such as --where '{attribute} == VALUE'")
         }
-        Warning::Input(InputWarning::VariousRadii { attribute, .. }) => {
-            format!("--radius-attribute {attribute} uses them")
+        Warning::Input(InputWarning::VariousSizes { size, attribute, .. }) => match size {
+            ParticleSize::Radius => format!("--radius-attribute {attribute} uses them"),
+            ParticleSize::SmoothingLength => {
+                format!("use --radius-attribute {attribute}, with the radius of a particle over it as --radius-scale")
+            }
+            ParticleSize::Mass => "write their radii, too, and name them with --radius-attribute".to_owned(),
+        },
+        Warning::Input(InputWarning::SharedPosition { at: [x, y, z], .. }) => {
+            let [x, y, z] = [x, y, z].map(|along| f64::from(*along as f32));
+            format!("leave them out with --where 'x != {x} or y != {y} or z != {z}'")
         }
         Warning::Input(InputWarning::NotFollowed) => {
             "write `id` with the particles, or `velocity`, and give --time-step".to_owned()

@@ -152,5 +152,6 @@ pub use target::outputs::{
 pub use target::picture::{PictureOptions, PictureScene, encode_picture, up_of, velocities};
 pub use target::viewpoint::{CameraChoice, Viewpoint};
 pub use warning::{
-    FrameWarning, InputWarning, ObstacleFinding, ReportedWarnings, Scope, SurfaceWarning, Violation, Warning,
+    FrameWarning, InputWarning, ObstacleFinding, ParticleSize, ReportedWarnings, Scope, SurfaceWarning,
+    Violation, Warning,
 };

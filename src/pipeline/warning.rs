@@ -38,6 +38,27 @@ pub enum Warning {
     Violation(Violation),
 }
 
+/// What an attribute says of the size of particles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ParticleSize {
+    /// Their radii.
+    Radius,
+    /// The reach of their kernels in the simulation.
+    SmoothingLength,
+    /// Their masses.
+    Mass,
+}
+
+impl fmt::Display for ParticleSize {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            ParticleSize::Radius => "radii",
+            ParticleSize::SmoothingLength => "smoothing lengths",
+            ParticleSize::Mass => "masses",
+        })
+    }
+}
+
 /// A likely mistake in the input, or in the choice of its particles.
 #[derive(Clone, Debug, PartialEq)]
 pub enum InputWarning {
@@ -48,8 +69,8 @@ pub enum InputWarning {
     /// The particles are of several kinds, such as fluid and walls, according to an attribute with these
     /// values, and no condition chooses some of them.
     SeveralKinds { attribute: String, values: Vec<String> },
-    /// The particles carry radii of different sizes, in world units, and no option uses them.
-    VariousRadii { attribute: String, smallest: f64, largest: f64 },
+    /// The particles have different sizes, in units of the file, and no option uses them.
+    VariousSizes { size: ParticleSize, attribute: String, smallest: f64, largest: f64 },
     /// No particle of the frame meets the condition.
     NoneChosen { condition: String, particle_count: usize },
     /// The file has more grids than the one that was read.
@@ -80,6 +101,8 @@ pub enum InputWarning {
     PresetNotMeasured { used: Preset },
     /// All particles have the same coordinate along this axis.
     Planar { axis: char, at: f64 },
+    /// Many particles have one position.
+    SharedPosition { count: usize, particle_count: usize, at: [f64; 3] },
     /// Radii too small for the grid. `radius_min` is the smallest one, in world units.
     SmallRadii { count: usize, radius_min: f64 },
     /// Radii that are not positive numbers.
@@ -292,12 +315,10 @@ impl fmt::Display for InputWarning {
                 values.len(),
                 values.join(", ")
             ),
-            InputWarning::VariousRadii { attribute, smallest, largest } => write!(
-                f,
-                "the particles carry radii from {} to {} (`{attribute}`), which are not used",
-                significant(*smallest),
-                significant(*largest)
-            ),
+            InputWarning::VariousSizes { size, attribute, smallest, largest } => {
+                let [smallest, largest] = [smallest, largest].map(|size| significant(*size));
+                write!(f, "the particles have {size} from {smallest} to {largest} (`{attribute}`), which are not used")
+            }
             InputWarning::NoneChosen { condition, particle_count } => {
                 let particles = particles(particle_count);
                 write!(f, "none of the {particles} meets the condition \"{condition}\": the frame is empty")
@@ -355,6 +376,11 @@ impl fmt::Display for InputWarning {
             InputWarning::PresetNotMeasured { used } => write!(
                 f,
                 "too few particles are surrounded by others to measure how evenly they are spaced: the preset is {used}"
+            ),
+            InputWarning::SharedPosition { count, particle_count, at: [x, y, z] } => write!(
+                f,
+                "{count} of {particle_count} particles are at ({x}, {y}, {z}), where solvers put inactive ones: they \
+                 become a drop"
             ),
             InputWarning::Planar { axis, at } => write!(
                 f,

@@ -95,10 +95,11 @@ option_set! {
         ///
         /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is created. If PATH is a file,
         /// its extension selects the format. To create a folder with a name like that of a file, end it with a
-        /// slash: shot.obj/. Files are written under temporary names, and renamed when they are complete.
+        /// slash: shot.obj/. A name such as surf/water.####.glb or out_{}.ply names the results of a sequence with the
+        /// numbers of its frames; more formats by --format. Files are written under temporary names, and renamed when they are complete.
         /// Existing files with these names are replaced, except inputs, and .ply, .vtp and .vdb files of
         /// other programs.
-        #[arg(short, long, value_name = "PATH", required_unless_present = "print_settings")]
+        #[arg(short, long, value_name = "PATH")]
         pub(super) out: Option<PathBuf>,
 
         #[command(flatten)]

@@ -122,16 +122,25 @@ pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<Command
     if let Some(frame) = &args.frame {
         return frame::print(frame, &folders, args.json, console);
     }
-    let mut records = Vec::new();
+    let (mut records, mut new_count) = (Vec::new(), 0);
     for folder in &folders {
         match status_of(folder, console) {
-            Ok(record) => records.push(record),
+            Ok(Some(record)) => records.push(record),
+            // A valid configuration need not have run yet.
+            Ok(None) => match &args.config {
+                Some(config) => {
+                    let (config, folder) = (config.display(), folder.display());
+                    console.warn(format_args!("{config}: valid; nothing is recorded yet in {folder}"));
+                    new_count += 1;
+                }
+                None => bail!("{}: nothing is recorded here: check --out", folder.display()),
+            },
             Err(error) if folders.len() > 1 => console.error(with_causes(&error)),
             Err(error) => return Err(error),
         }
     }
     match &records[..] {
-        [] => return Ok(CommandOutcome::NothingDone),
+        [] if new_count < folders.len() => return Ok(CommandOutcome::NothingDone),
         [record] if args.json && args.config.is_none() => console.print_json(record)?,
         records if args.json => console.print_json(&records)?,
         records => {
@@ -143,7 +152,8 @@ pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<Command
             }
         }
     }
-    let is_fine = records.len() == folders.len() && records.iter().all(|record| record.failed.is_empty());
+    let is_fine =
+        records.len() + new_count == folders.len() && records.iter().all(|record| record.failed.is_empty());
     Ok(if is_fine { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
 }
 
@@ -159,14 +169,14 @@ fn folders_of(config: &Path) -> Result<Vec<PathBuf>> {
     Ok(folders)
 }
 
-/// The status of a folder.
-fn status_of(output: &Path, console: &mut Console) -> Result<StatusRecord> {
+/// The status of a folder; `None` if nothing is recorded there.
+fn status_of(output: &Path, console: &mut Console) -> Result<Option<StatusRecord>> {
     let state = recorded(output, console)?;
     let holder = Holder::of(output)?;
     if state == LatestRecords::default() && !matches!(holder, Holder::Daemon(_)) {
-        bail!("{}: nothing is recorded here: check --out", output.display());
+        return Ok(None);
     }
-    Ok(StatusRecord::new(output, &state, holder))
+    Ok(Some(StatusRecord::new(output, &state, holder)))
 }
 
 /// Reads the records of an output folder.

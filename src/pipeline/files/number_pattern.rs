@@ -1,4 +1,4 @@
-//! File names with a placeholder for a number: `dam.####.bgeo`, `dam.%04d.bgeo`, `dam.{}.bgeo`.
+//! File names with a placeholder for a number: `dam.####.bgeo`, `dam.%04d.bgeo`, `dam.{:04}.bgeo`, `dam.{}.bgeo`.
 //!
 //! ```text
 //!   ####   0012  10012  -012  -0012       4 digits or more; the width of printf includes the sign, that of
@@ -25,7 +25,7 @@ pub struct NumberPattern<'a> {
 }
 
 impl<'a> NumberPattern<'a> {
-    /// Finds the last `####`, `%04d`, `%d` or `{}` of a name; the rest of the name is literal.
+    /// Finds the last `####`, `%04d`, `%d`, `{:04}` or `{}` of a name; the rest of the name is literal.
     pub fn find(name: &'a str) -> Option<NumberPattern<'a>> {
         (0..name.len()).rev().filter(|&start| name.is_char_boundary(start)).find_map(|start| {
             let (length, width_min) = placeholder_at(&name[start..])?;
@@ -90,13 +90,17 @@ fn placeholder_at(text: &str) -> Option<(usize, usize)> {
     if text.starts_with('#') {
         return Some((1, 1));
     }
-    let format = text.strip_prefix('%')?;
+    let (format, ends): (&str, &[&str]) = match text.strip_prefix("{:") {
+        Some(format) => (format, &["}", "d}"]),
+        None => (text.strip_prefix('%')?, &["d"]),
+    };
     let digit_count = format.bytes().take_while(u8::is_ascii_digit).count();
     let width = match &format[..digit_count] {
         "" => 1,
         digits => digits.strip_prefix('0')?.parse().ok()?,
     };
-    format[digit_count..].starts_with('d').then_some((digit_count + 2, width))
+    let end = ends.iter().find(|end| format[digit_count..].starts_with(**end))?;
+    Some((text.len() - format.len() + digit_count + end.len(), width))
 }
 
 /// The files in a folder that are not hidden; see [`may_be_file`].

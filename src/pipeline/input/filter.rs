@@ -1,12 +1,13 @@
 //! Chooses the particles of a frame that form the surface, right after they are read.
 
+use glam::Vec3;
 use meniscus_formats::columns::aliases;
-use meniscus_formats::{AttributeRole, FileAttribute, ParticleFrame};
+use meniscus_formats::{AttributeRole, FileAttribute, FilePositions, ParticleFrame};
 
-use crate::surface::particles::{Attribute, ParticleFilter};
+use crate::surface::particles::{Attribute, ParticleFilter, coordinate, coordinates};
 
 use super::attributes::{attribute, header};
-use crate::pipeline::warning::{InputWarning, Warning};
+use crate::pipeline::warning::{InputWarning, ParticleSize, Warning};
 
 /// Keeps the particles of a frame that meet the condition. Returns a warning if none of them does.
 ///
@@ -21,10 +22,23 @@ pub fn keep_chosen(
     let failed = |why| format!("--where \"{filter}\": {why}");
     let mut attributes: Vec<Attribute> =
         frame.attributes.iter().map(|given| attribute(header(given))).collect();
-    for index in filter.needed(&attributes).map_err(failed)? {
-        attributes[index] = attribute(frame.attributes[index].clone());
-    }
     let particle_count = frame.positions.len();
+    let coordinates = coordinates(&attributes);
+    attributes.extend(coordinates);
+    for index in filter.needed(&attributes).map_err(failed)? {
+        match frame.attributes.get(index) {
+            Some(given) => attributes[index] = attribute(given.clone()),
+            None => {
+                let name = &attributes[index].name;
+                attributes[index].values = match &frame.positions {
+                    FilePositions::F32(at) => {
+                        coordinate(name, at.len(), |index| Vec3::from(at[index]).as_dvec3())
+                    }
+                    FilePositions::F64(at) => coordinate(name, at.len(), |index| at[index].into()),
+                };
+            }
+        }
+    }
     let mask = filter.mask(&attributes, particle_count).map_err(failed)?;
     frame.retain(&mask);
     Ok(none_chosen(filter, particle_count, frame.positions.len()))
@@ -63,31 +77,55 @@ pub(super) fn several_kinds<'a>(parts: impl Iterator<Item = &'a [FileAttribute]>
     })
 }
 
-/// A warning if the particles of these parts of a frame carry radii of different sizes.
-pub(super) fn various_radii<'a>(parts: impl Iterator<Item = &'a [FileAttribute]>) -> Option<Warning> {
-    let mut name = None;
-    let (mut smallest, mut largest) = (f64::INFINITY, 0.0f64);
-    for attribute in parts.flatten().filter(|attribute| attribute.role == Some(AttributeRole::Radius)) {
-        name.get_or_insert(&attribute.name);
-        let given = super::attributes::attribute(attribute.clone());
-        let radii = given.values.numbers().unwrap_or_default();
-        for &radius in radii.iter().filter(|radius| radius.is_finite() && **radius > 0.0) {
-            (smallest, largest) = (smallest.min(radius.into()), largest.max(radius.into()));
+/// A warning if the particles of these parts of a frame have different sizes: radii, or else smoothing lengths or masses.
+pub(super) fn various_sizes<'a>(parts: impl Iterator<Item = &'a [FileAttribute]> + Clone) -> Option<Warning> {
+    ParticleSize::ALL.into_iter().find_map(|size| {
+        let mut name = None;
+        let (mut smallest, mut largest) = (f64::INFINITY, 0.0f64);
+        for attribute in parts.clone().flatten().filter(|attribute| size.is_of(attribute)) {
+            name.get_or_insert(&attribute.name);
+            let given = super::attributes::attribute(attribute.clone());
+            let values = given.values.numbers().unwrap_or_default();
+            for &value in values.iter().filter(|value| value.is_finite() && **value > 0.0) {
+                (smallest, largest) = (smallest.min(value.into()), largest.max(value.into()));
+            }
         }
-    }
-    let attribute = name.filter(|_| largest > RADIUS_RATIO_MIN * smallest)?.clone();
-    Some(Warning::Input(InputWarning::VariousRadii { attribute, smallest, largest }))
+        let attribute = name.filter(|_| largest > size.ratio_min() * smallest)?.clone();
+        Some(Warning::Input(InputWarning::VariousSizes { size, attribute, smallest, largest }))
+    })
 }
 
-/// From this ratio of the largest radius to the smallest on, they are meant to differ.
-const RADIUS_RATIO_MIN: f64 = 1.01;
+impl ParticleSize {
+    const ALL: [ParticleSize; 3] = [ParticleSize::Radius, ParticleSize::SmoothingLength, ParticleSize::Mass];
+
+    /// Whether an attribute has this size of its particles.
+    fn is_of(self, attribute: &FileAttribute) -> bool {
+        let names: &[&str] = match self {
+            ParticleSize::Radius => return attribute.role == Some(AttributeRole::Radius),
+            ParticleSize::SmoothingLength => {
+                &["h", "hsml", "smoothing_length", "smoothinglength", "smoothinglengths"]
+            }
+            ParticleSize::Mass => &["m", "mass", "masses"],
+        };
+        attribute.arity == 1 && names.iter().any(|name| attribute.name.eq_ignore_ascii_case(name))
+    }
+
+    /// From this ratio of the largest to the smallest on, particles are meant to have different sizes: smoothing lengths
+    /// follow the density, and masses may differ a little at walls.
+    fn ratio_min(self) -> f64 {
+        match self {
+            ParticleSize::Radius => 1.01,
+            ParticleSize::SmoothingLength | ParticleSize::Mass => 1.5,
+        }
+    }
+}
 
 /// An attribute with more values numbers something else than kinds, such as pieces.
 const KIND_COUNT_MAX: usize = 16;
 
 #[cfg(test)]
 mod tests {
-    use meniscus_formats::{FilePositions, Values};
+    use meniscus_formats::Values;
 
     use super::*;
 
@@ -104,12 +142,24 @@ mod tests {
         let of = |radii: &[f32]| {
             let mut frame = frame("pscale", Values::F32(radii.to_vec()));
             frame.attributes[0].role = Some(AttributeRole::Radius);
-            various_radii([&frame.attributes[..]].into_iter()).map(|warning| warning.to_string())
+            various_sizes([&frame.attributes[..]].into_iter()).map(|warning| warning.to_string())
         };
-        let expected = "the particles carry radii from 0.1 to 0.25 (`pscale`), which are not used";
+        let expected = "the particles have radii from 0.1 to 0.25 (`pscale`), which are not used";
         assert_eq!(of(&[0.1, 0.25, 0.0, f32::NAN]).as_deref(), Some(expected));
         assert_eq!(of(&[0.1, 0.1, 0.1005, 0.1]), None);
         assert_eq!(of(&[]), None);
+        let of_name = |name, values: &[f32]| {
+            let frame = frame(name, Values::F32(values.to_vec()));
+            various_sizes([&frame.attributes[..]].into_iter()).map(|warning| warning.to_string())
+        };
+        let expected = "the particles have masses from 1 to 8 (`mass`), which are not used";
+        assert_eq!(of_name("mass", &[1.0, 8.0, 1.0, 1.0]).as_deref(), Some(expected));
+        let lengths = of_name("h", &[0.1, 0.2, 0.1, 0.1]).expect("different");
+        assert!(
+            lengths.starts_with("the particles have smoothing lengths from 0.1 to 0.2 (`h`)"),
+            "{lengths}"
+        );
+        assert_eq!(of_name("h", &[0.1, 0.12, 0.1, 0.1]), None);
     }
 
     #[test]
@@ -146,13 +196,16 @@ mod tests {
         assert_eq!(kept, given);
         assert_eq!(keep_chosen(&mut kept, Some(&condition("phase == 1"))), Ok(None));
         assert_eq!(kept.positions, FilePositions::F32(vec![[1.0; 3], [2.0; 3]]));
+        let mut right = given.clone();
+        assert_eq!(keep_chosen(&mut right, Some(&condition("x > 1 and z <= 2"))), Ok(None));
+        assert_eq!(right.positions, FilePositions::F32(vec![[2.0; 3]]));
         let none = keep_chosen(&mut given.clone(), Some(&condition("phase == 7")));
         let expected = InputWarning::NoneChosen { condition: "phase == 7".to_owned(), particle_count: 4 };
         assert_eq!(none, Ok(Some(Warning::Input(expected))));
         let missing = keep_chosen(&mut given.clone(), Some(&condition("mk == 7")));
         assert_eq!(
             missing.expect_err("missing"),
-            "--where \"mk == 7\": the particles have no attribute `mk`; available: phase"
+            "--where \"mk == 7\": the particles have no attribute `mk`; available: phase, x, y, z"
         );
     }
 }

@@ -17,7 +17,7 @@ use crate::surface::particles::{self, ParticleCloud, ParticleFilter, ParticleSou
 use crate::surface::options::Settings;
 use crate::surface::reconstruction::smooth_level_set_bytes_max;
 
-use super::filter::{keep_chosen, none_chosen, several_kinds, various_radii};
+use super::filter::{keep_chosen, none_chosen, several_kinds, various_sizes};
 use super::frame::{Frame, Job};
 use super::level_set_file::{LevelSetFile, is_leaf_origin, level_set_limits, voxel_size};
 use crate::pipeline::error::{Cause, FrameError, Stage};
@@ -197,8 +197,8 @@ impl FileParticles {
             None => several_kinds(attributes()),
         };
         let of_file = self.batches.notes().iter().cloned().map(Warning::Sentence);
-        let about_radii = if self.chosen.is_none() { various_radii(attributes()) } else { None };
-        Ok(of_file.chain(about_kinds).chain(about_radii).collect())
+        let about_sizes = if self.chosen.is_none() { various_sizes(attributes()) } else { None };
+        Ok(of_file.chain(about_kinds).chain(about_sizes).collect())
     }
 
     /// Some batches, evenly distributed.

@@ -1,6 +1,8 @@
 //! Looks for likely mistakes in the positions of a frame: none is finite, all are in a plane, or they were
 //! rounded.
 
+use std::collections::HashMap;
+
 use glam::DVec3;
 use meniscus_formats::{Error, Position};
 use rayon::prelude::*;
@@ -29,6 +31,7 @@ pub(crate) fn position_doubts(particles: &FrameInput, settings: &Settings) -> Re
     if step > ROUNDING_SHARE_MAX * settings.spacing {
         warnings.push(Warning::Input(InputWarning::RoundedParticles { step, spacing: settings.spacing }));
     }
+    warnings.extend(shared_position(particles)?.map(Warning::Input));
     let of_first = box_of_batch(&first);
     if of_first.is_none_or(|bounds| flat_axis(bounds).is_some()) {
         let Some(bounds) = box_of_all_particles(particles)? else {
@@ -42,6 +45,37 @@ pub(crate) fn position_doubts(particles: &FrameInput, settings: &Settings) -> Re
     }
     Ok(warnings)
 }
+
+/// The position that most particles of the first or the last batch share, if it is that of many: solvers put inactive
+/// particles there.
+fn shared_position(particles: &FrameInput) -> Result<Option<InputWarning>, Cause> {
+    let is_many = |count: usize, of: usize| count >= PARKED_MIN && (count as f64) > PARKED_SHARE * of as f64;
+    let bits = |position: DVec3| position.to_array().map(f64::to_bits);
+    for batch in [0, particles.batch_count() - 1] {
+        let positions = particles.batch(batch)?;
+        let mut counts: HashMap<[u64; 3], usize> = HashMap::new();
+        for index in 0..positions.len() {
+            *counts.entry(bits(positions.position(index))).or_default() += 1;
+        }
+        let most = counts.into_iter().max_by_key(|&(position, count)| (count, position));
+        let Some((shared, _)) = most.filter(|(_, count)| is_many(*count, positions.len())) else { continue };
+        let count_in = |batch| -> Result<usize, Cause> {
+            let positions = particles.batch(batch)?;
+            Ok((0..positions.len()).filter(|&index| bits(positions.position(index)) == shared).count())
+        };
+        let counts = (0..particles.batch_count()).into_par_iter().map(count_in);
+        let count = counts.try_reduce(|| 0, |one, other| Ok(one + other))?;
+        let (particle_count, at) = (particles.len(), shared.map(f64::from_bits));
+        if is_many(count, particle_count) && at.iter().all(|along| along.is_finite()) {
+            return Ok(Some(InputWarning::SharedPosition { count, particle_count, at }));
+        }
+    }
+    Ok(None)
+}
+
+/// So many particles at one position, and more than this part of the frame, are inactive ones.
+const PARKED_MIN: usize = 8;
+const PARKED_SHARE: f64 = 0.005;
 
 /// Fewer particles may be in a plane by chance.
 const PLANAR_COUNT_MIN: usize = 10;

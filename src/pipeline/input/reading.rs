@@ -15,7 +15,7 @@ use crate::surface::options::{ColumnNames, ReadOptions};
 use crate::surface::particles::{OwnedPositions, ParticleCloud, Shapes};
 
 use super::attributes::AttributeRequest;
-use super::filter::{keep_chosen, several_kinds, various_radii};
+use super::filter::{keep_chosen, several_kinds, various_sizes};
 use super::steps::{IndexPolicy, by_lines_of_file, file_of, read_part};
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::{InputFile, read_unchanged};
@@ -121,15 +121,15 @@ pub fn parse_particles(
         Some(_) => keep_chosen(&mut frame, filter.as_ref()).map_err(missing_error)?,
         None => several_kinds(iter::once(&frame.attributes[..])),
     };
-    let about_radii =
-        if wanted.uses_radii() { None } else { various_radii(iter::once(&frame.attributes[..])) };
+    let about_sizes =
+        if wanted.uses_radii() { None } else { various_sizes(iter::once(&frame.attributes[..])) };
     let ParticleFrame { positions, attributes, notes } = frame;
     let velocity = attributes.iter().find(|attribute| attribute.role == Some(AttributeRole::Velocity));
     let unused_velocity =
         velocity.map(|attribute| attribute.name.clone()).filter(|name| !wanted.has_velocity(name));
     let (attributes, missing) = wanted.select(attributes).map_err(missing_error)?;
     let warnings =
-        notes.into_iter().map(Warning::Sentence).chain(about_kinds).chain(about_radii).chain(missing);
+        notes.into_iter().map(Warning::Sentence).chain(about_kinds).chain(about_sizes).chain(missing);
     let warnings = warnings.collect();
     let cloud = ParticleCloud { positions: particles(positions), shapes: Shapes::Uniform, attributes };
     Ok(ParsedParticles { cloud, warnings, unused_velocity })

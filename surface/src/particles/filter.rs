@@ -12,13 +12,15 @@
 //! ```
 //!
 //! `velocity.y` and `velocity.1` are a component of the attribute `velocity`, unless an attribute has this
-//! whole name. Not a number (NaN) is unequal to every number, and neither less nor greater.
+//! whole name. `x`, `y` and `z` are the coordinates, unless an attribute has this name. Not a number (NaN) is unequal to every number, and neither less nor greater.
 
 use std::cmp::Ordering;
 use std::fmt;
 use std::str::FromStr;
 
-use super::{Attribute, AttributeValues, OwnedPositions, Positions};
+use glam::DVec3;
+
+use super::{Attribute, AttributeValues, OwnedPositions, Positions, Role};
 
 /// A condition on the attributes of particles, such as `phase == 0`: the particles that meet it form the
 /// surface.
@@ -95,9 +97,34 @@ impl ParticleFilter {
         positions: &Positions<'_>,
         attributes: &[Attribute],
     ) -> Result<(OwnedPositions, Vec<Attribute>), String> {
-        let mask = self.mask(attributes, positions.len())?;
+        let mut all = attributes.to_vec();
+        all.extend(coordinates(attributes));
+        for index in self.needed(&all)?.into_iter().filter(|index| *index >= attributes.len()) {
+            all[index].values =
+                coordinate(&all[index].name, positions.len(), |index| positions.position(index));
+        }
+        let mask = self.mask(&all, positions.len())?;
         Ok(rows_of(positions, attributes, &mask))
     }
+}
+
+/// Attributes for the coordinates of particles, without values: those whose names no other attribute has.
+pub fn coordinates(attributes: &[Attribute]) -> Vec<Attribute> {
+    let is_free = |name: &&str| !attributes.iter().any(|attribute| attribute.name == *name);
+    let axes = ["x", "y", "z"].into_iter().filter(is_free);
+    let header = |name: &str| Attribute {
+        name: name.to_owned(),
+        role: Role::Other,
+        arity: 1,
+        values: AttributeValues::Numbers(Vec::new()),
+    };
+    axes.map(header).collect()
+}
+
+/// The values of one of these [`coordinates`], for `count` particles.
+pub fn coordinate(name: &str, count: usize, position: impl Fn(usize) -> DVec3) -> AttributeValues {
+    let axis = usize::from(name == "y") + 2 * usize::from(name == "z");
+    AttributeValues::Numbers((0..count).map(|index| position(index)[axis] as f32).collect())
 }
 
 /// The particles for which `mask` is true, with their attributes.

@@ -20,7 +20,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use glam::DVec3;
 use rustc_hash::FxHashMap;
 
-pub use filter::ParticleFilter;
+pub use filter::{ParticleFilter, coordinate, coordinates};
 pub(crate) use filter::{rows, rows_of};
 pub use kernels::{BODY_SCALE, LEVEL_AT, LONE_RADIUS, LONE_SCALE, inverse_kernel, kernel};
 pub(crate) use shapes::cube_root;

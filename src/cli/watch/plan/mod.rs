@@ -9,6 +9,7 @@
 //! ```
 
 use std::collections::HashSet;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -22,7 +23,7 @@ use crate::cli::machine::{memory_bytes, thread_count};
 use crate::cli::settings::{Use, ignored, refuse_options, refuse_other_kinds};
 use crate::http::{AccessToken, Listen};
 use crate::pipeline::{
-    ObstacleFiles, are_same_file, canonical_path, read_regular_text, refuse_file_for_folder,
+    NumberPattern, ObstacleFiles, are_same_file, canonical_path, read_regular_text, refuse_file_for_folder,
 };
 use crate::surface::options::Settings;
 use crate::watch::selection::FileFilter;
@@ -129,6 +130,13 @@ fn watch_of_block(args: &WatchArgs, keys: &WatchKeys, warnings: &mut Vec<String>
 }
 
 fn check_input(input: &Path, once: bool) -> Result<()> {
+    let name = input.file_name().and_then(OsStr::to_str).unwrap_or_default();
+    let by_number = NumberPattern::find(name);
+    if !input.exists() && (name.contains(['*', '?']) || by_number.is_some()) {
+        let pattern = by_number.map_or(name.to_owned(), |found| format!("{}*{}", found.before, found.after));
+        let folder = input.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+        bail!("{}: watch needs a folder: use {} --pattern '{pattern}'", input.display(), folder.display());
+    }
     if once && !input.exists() {
         bail!(
             "{}: there is no such folder: check the path; without --once, watch waits for the folder",
