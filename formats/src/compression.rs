@@ -69,12 +69,20 @@ impl Codec {
 
     /// Decompresses the whole file.
     pub(crate) fn decompress(self, bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
+        let mut content = Vec::new();
+        self.decompress_into(&mut content, bytes, limits)?;
+        Ok(content)
+    }
+
+    /// Decompresses the whole file; after an error, `content` has what was decompressed before it.
+    fn decompress_into(self, content: &mut Vec<u8>, bytes: &[u8], limits: &Limits) -> Result<()> {
         match self {
-            Codec::Gzip => inflate(bytes, limits),
-            Codec::Zstd => zstd::decompress(bytes, limits),
-            Codec::Xz => Streamed::Xz.decompress(bytes, limits),
-            Codec::Bzip2 => Streamed::Bzip2.decompress(bytes, limits),
+            Codec::Gzip => inflate(content, bytes, limits)?,
+            Codec::Zstd => zstd::decompress(content, bytes, limits)?,
+            Codec::Xz => *content = Streamed::Xz.decompress(bytes, limits)?,
+            Codec::Bzip2 => *content = Streamed::Bzip2.decompress(bytes, limits)?,
         }
+        Ok(())
     }
 
     /// Decompresses the first bytes of the content: at most `length`, or fewer if the input ends or is
@@ -120,6 +128,23 @@ pub fn decompressed<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Cow<'a, [u8]
     match Codec::of(bytes) {
         Some(codec) => codec.decompress(bytes, limits).map(Cow::Owned),
         None => Ok(Cow::Borrowed(bytes)),
+    }
+}
+
+/// Like [`decompressed`], of a file with steps. If the compressed data ends too early, because its writer was stopped
+/// or is still writing, the content ends there, and a note says so: the steps before are whole.
+///
+/// # Errors
+/// Those of [`decompressed`], and `Truncated` only if nothing could be decompressed.
+pub fn decompressed_so_far<'a>(bytes: &'a [u8], limits: &Limits) -> Result<(Cow<'a, [u8]>, Option<String>)> {
+    let Some(codec) = Codec::of(bytes) else { return Ok((bytes.into(), None)) };
+    let mut content = Vec::new();
+    match codec.decompress_into(&mut content, bytes, limits) {
+        Err(error) if error.is_truncated() && !content.is_empty() => {
+            let note = format!("{error}: later steps are missing if its writer was stopped");
+            Ok((content.into(), Some(note)))
+        }
+        outcome => outcome.map(|()| (content.into(), None)),
     }
 }
 
@@ -170,11 +195,10 @@ pub(crate) fn is_gzip(bytes: &[u8]) -> bool {
 /// # Errors
 /// `Truncated` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed
 /// file; `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`.
-pub(crate) fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
-    let mut inflated = Vec::new();
+fn inflate(inflated: &mut Vec<u8>, bytes: &[u8], limits: &Limits) -> Result<()> {
     let mut rest = bytes;
     while is_gzip(rest) {
-        rest = inflate_member(bytes.len(), rest, limits, &mut inflated)?;
+        rest = inflate_member(bytes.len(), rest, limits, inflated)?;
     }
     // Tapes and some copying tools pad files with zeros.
     if let Some(at) = rest.iter().position(|&byte| byte != 0) {
@@ -187,7 +211,7 @@ pub(crate) fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
             Error::invalid(FORMAT, position, what)
         });
     }
-    Ok(inflated)
+    Ok(())
 }
 
 /// Decompresses the member at the start of `rest`, and returns the bytes after it.
@@ -251,6 +275,10 @@ mod tests {
         let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
         encoder.write_all(bytes).unwrap();
         encoder.finish().unwrap()
+    }
+
+    fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
+        Codec::Gzip.decompress(bytes, limits)
     }
 
     #[test]

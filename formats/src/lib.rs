@@ -153,11 +153,16 @@ pub fn read_particles_named(
         return with_finite(kind.name(), csv::read_named(&bytes, columns, limits)?);
     }
     let reader = reader_of(kind, codec)?;
-    let bytes = compression::decompressed(bytes, limits)?;
-    let frame = match &reader.read {
+    let (bytes, note) = if reader.find_steps.is_some() {
+        compression::decompressed_so_far(bytes, limits)?
+    } else {
+        (compression::decompressed(bytes, limits)?, None)
+    };
+    let mut frame = match &reader.read {
         ReadParticles::Whole(read) => read(&bytes, limits)?,
         ReadParticles::Sample(container) => container.read_alone(kind.name(), &bytes, limits)?,
     };
+    frame.notes.extend(note);
     with_finite(kind.name(), with_note(frame))
 }
 

@@ -21,8 +21,10 @@ use std::io::{self, BufRead, Read as _};
 use std::ops::Range;
 use std::sync::Arc;
 
+use crate::compression::decompressed_so_far;
 use crate::error::Result;
 use crate::limits::Limits;
+use crate::packed::pack;
 use crate::probe::ProbedKind;
 
 /// Whether files of this kind can contain several frames.
@@ -56,6 +58,33 @@ pub fn find_more_steps(
     let (end, count) = steps.pop().map_or((0, 0), |last| (last.range.start, last.lines_before));
     let source = StepSource::new(&mut source, end, count);
     finder_of(kind).map_or(Ok(()), |find| find(source, steps, limits))
+}
+
+/// The bytes of a step of a compressed file, as [`crate::read_particles`] reads them; `None` if the file has none at
+/// this place. If the compressed data ends too early, the particles of the last step have a note that says so.
+///
+/// # Errors
+///
+/// Those of [`decompressed_so_far`].
+pub fn step_of_compressed(
+    kind: ProbedKind,
+    bytes: &[u8],
+    step: &FoundStep,
+    limits: &Limits,
+) -> Result<Option<Vec<u8>>> {
+    let (content, note) = decompressed_so_far(bytes, limits)?;
+    let [start, end] = [step.range.start, step.range.end].map(|at| usize::try_from(at).unwrap_or(usize::MAX));
+    let Some(rows) = content.get(start..end) else { return Ok(None) };
+    let step = [&*step.head, rows].concat();
+    if let Some(note) = note.filter(|_| end == content.len())
+        && let Some(format) = kind.format()
+        // The caller reads a step that ends too early, and gets the error with its line.
+        && let Ok(mut frame) = crate::read_particles(&step, kind.name(), limits)
+    {
+        frame.notes.push(note);
+        return Ok(Some(pack(format, &frame)));
+    }
+    Ok(Some(step))
 }
 
 fn finder_of(kind: ProbedKind) -> Option<FindSteps> {

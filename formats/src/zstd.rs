@@ -47,15 +47,14 @@ fn is_skippable(bytes: &[u8]) -> bool {
 /// # Errors
 /// `Truncated` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed
 /// file; `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`, or if the window is too large.
-pub(crate) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
-    let mut decompressed = Vec::new();
+pub(crate) fn decompress(decompressed: &mut Vec<u8>, bytes: &[u8], limits: &Limits) -> Result<()> {
     let mut rest = bytes;
     while !rest.is_empty() {
         let at = bytes.len() - rest.len();
         if is_skippable(rest) {
             rest = after_skippable(rest, at)?;
         } else if rest.starts_with(&MAGIC) {
-            rest = decompress_frame(bytes, at, limits, &mut decompressed)?;
+            rest = decompress_frame(bytes, at, limits, decompressed)?;
         } else {
             let position = Position::Offset(at as u64);
             let what = "the compressed data is followed by other bytes";
@@ -66,7 +65,7 @@ pub(crate) fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
             });
         }
     }
-    Ok(decompressed)
+    Ok(())
 }
 
 /// The bytes after a skippable frame that starts at byte `at` of the file.
@@ -202,6 +201,10 @@ mod tests {
 
     fn packed(bytes: &[u8]) -> Vec<u8> {
         compress_to_vec(bytes, CompressionLevel::Fastest)
+    }
+
+    fn decompress(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
+        crate::Codec::Zstd.decompress(bytes, limits)
     }
 
     #[test]

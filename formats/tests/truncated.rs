@@ -9,7 +9,11 @@ use crate::fixtures;
 use std::io::Write;
 use std::path::Path;
 
-use meniscus_formats::{Completeness, Error, Limits, bgeo, completeness, csv, ply, read_particles};
+use meniscus_formats::compression::decompressed_so_far;
+use meniscus_formats::steps::{find_steps, step_of_compressed};
+use meniscus_formats::{
+    Completeness, Error, Format, Limits, ProbedKind, bgeo, completeness, csv, ply, read_particles,
+};
 
 /// Number of lengths at which each file is truncated; short files are truncated everywhere.
 const CUT_COUNT: usize = 3000;
@@ -167,4 +171,49 @@ fn invalid_files_are_not_short() {
     let checksum = damaged.len() - 7;
     damaged[checksum] ^= 1;
     assert!(!read(&damaged, "a.ply.gz").expect_err("damaged").is_truncated());
+}
+
+/// A writer that is stopped leaves a compressed file without its end. Its whole steps are read, as those of text are.
+#[test]
+fn compressed_steps_without_an_end_are_read_with_a_note() {
+    let kind = ProbedKind::Format(Format::LammpsDump);
+    let limits = Limits::default();
+    let text = [fixtures::DUMP, &fixtures::DUMP.replace("1000", "2000")].concat();
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    encoder.write_all(text.as_bytes()).unwrap();
+    encoder.flush().unwrap();
+    let open = encoder.get_ref().clone();
+    let whole = encoder.finish().unwrap();
+    for (bytes, is_open) in [(&open, true), (&whole, false)] {
+        let (content, note) = decompressed_so_far(bytes, &limits).unwrap();
+        assert_eq!((&*content, note.is_some()), (text.as_bytes(), is_open));
+        let steps = find_steps(kind, &*content, &limits).unwrap();
+        for (step, is_last) in steps.iter().zip([false, true]) {
+            let bytes = step_of_compressed(kind, bytes, step, &limits).unwrap().unwrap();
+            let frame = read_particles(&bytes, "a.dump.gz", &limits).unwrap();
+            let has_note = frame.notes.iter().any(|note| note.contains("compressed data ends too early"));
+            assert_eq!((frame.positions.len(), has_note), (2, is_open && is_last));
+        }
+    }
+    // A step that is not whole fails, and the others do not.
+    let whole = gzipped(text.as_bytes());
+    let torn = &whole[..whole.len() - 14];
+    let (content, _) = decompressed_so_far(torn, &limits).unwrap();
+    let steps = find_steps(kind, &*content, &limits).unwrap();
+    let mut outcomes = steps.iter().map(|step| {
+        let bytes = step_of_compressed(kind, torn, step, &limits).unwrap().unwrap();
+        read_particles(&bytes, "a", &limits).map(|frame| frame.notes.len())
+    });
+    assert_eq!(outcomes.next().unwrap().unwrap(), 0);
+    assert!(outcomes.all(|outcome| outcome.is_err_and(|error| error.is_truncated())));
+    // A file of one step.
+    let packed = zstd_packed(fixtures::DUMP.as_bytes());
+    for (bytes, is_open) in [(gzipped(fixtures::DUMP.as_bytes()), true), (packed, false)] {
+        assert!(read_particles(&bytes, "a", &limits).unwrap().notes.is_empty());
+        let cut = read_particles(&bytes[..bytes.len() - 4], "a", &limits);
+        assert_eq!(cut.is_ok_and(|frame| frame.notes.len() == 1), is_open);
+    }
+    // A table of one frame is not whole.
+    let table = gzipped(b"x,y,z\n1,2,3\n4,5,6\n");
+    assert!(read_particles(&table[..table.len() - 8], "a.csv", &limits).unwrap_err().is_truncated());
 }

@@ -18,7 +18,7 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use meniscus_formats::compression::{decompressed, read_head};
+use meniscus_formats::compression::{decompressed_so_far, read_head};
 use meniscus_formats::container::is_container;
 use meniscus_formats::steps::{FoundStep, find_more_steps, find_steps, may_have_steps};
 use meniscus_formats::{Limits, Probe, ProbedKind, Result, probe};
@@ -39,7 +39,7 @@ pub(super) struct StepIndex {
     pub(super) steps: Vec<FileStep>,
     /// The indices of the steps, sorted by the keys of their names.
     by_name: Vec<u32>,
-    kind: ProbedKind,
+    pub(super) kind: ProbedKind,
     /// `None` if the file is compressed, or shrank during the pass: then a later pass cannot check whether
     /// the file was appended to.
     edges: Option<FileEnds>,
@@ -238,7 +238,7 @@ fn index_container(path: &Path, before: Option<&StepIndex>, stamp: FileStamp) ->
 fn index_compressed(mut source: impl Read, stamp: FileStamp, kind: ProbedKind) -> Result<StepIndex> {
     let mut bytes = Vec::new();
     source.read_to_end(&mut bytes)?;
-    let decompressed = decompressed(&bytes, &Limits::default())?;
+    let (decompressed, _) = decompressed_so_far(&bytes, &Limits::default())?;
     let found = find_steps(kind, &*decompressed, &Limits::default())?;
     let unpacking_bytes = Some((bytes.len() + decompressed.len()) as u64);
     let found = within(found, decompressed.len() as u64);

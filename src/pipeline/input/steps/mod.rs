@@ -26,9 +26,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use meniscus_formats::compression::decompressed;
 use meniscus_formats::container::is_container;
-use meniscus_formats::steps::{FoundStep, may_have_steps};
+use meniscus_formats::steps::{FoundStep, may_have_steps, step_of_compressed};
 use meniscus_formats::{Error, Limits, ReadAt, Result};
 use twox_hash::XxHash3_128;
 
@@ -302,7 +301,7 @@ pub(crate) fn read_step(file: &Path, step: &str, by: IndexPolicy) -> Result<Opti
     if contents.is_container() {
         return read_sample(file, contents.index_of(step)?, &contents);
     }
-    let FoundStep { head, range, .. } = contents.step(step)?.clone();
+    let found = contents.step(step)?;
     let input = InputFile::open(file)?;
     if input.stamp() != contents.stamp {
         return Ok(None);
@@ -317,19 +316,19 @@ pub(crate) fn read_step(file: &Path, step: &str, by: IndexPolicy) -> Result<Opti
         }
     };
     let is_packed = contents.unpacking_bytes.is_some();
-    let stored = if is_packed { 0..contents.stamp.size } else { range.clone() };
+    let stored = if is_packed { 0..contents.stamp.size } else { found.range.clone() };
     let Some(bytes) = read(stored.clone())? else { return Ok(None) };
     let hash = XxHash3_128::oneshot(&bytes);
     let bytes = if is_packed {
-        let whole = decompressed(&bytes, &Limits::default())?;
-        let [start, end] = [range.start, range.end].map(|at| usize::try_from(at).unwrap_or(usize::MAX));
-        // The step has moved, so the file has changed.
-        let Some(step) = whole.get(start..end) else { return Ok(None) };
-        step.to_vec()
-    } else {
+        // A step that has moved is absent, so the file has changed.
+        let step = step_of_compressed(contents.kind, &bytes, found, &Limits::default())?;
+        let Some(step) = step else { return Ok(None) };
+        step
+    } else if found.head.is_empty() {
         bytes
+    } else {
+        [&*found.head, &*bytes].concat()
     };
-    let bytes = if head.is_empty() { bytes } else { [&*head, &*bytes].concat() };
     let has_same_bytes =
         || Ok(read(stored.clone())?.is_some_and(|again| XxHash3_128::oneshot(&again) == hash));
     Ok(input.is_unchanged_or(has_same_bytes)?.then_some((bytes, contents.stamp)))
