@@ -68,7 +68,12 @@ fn layers_are_recognised_by_content() {
 fn truncated_layers_are_truncated() {
     for (name, bytes) in all() {
         for length in 1..bytes.len() {
+            let has_prims = bytes[..length].windows(4).any(|word| word == b"def ");
             match read_particles(&bytes[..length], &name, &Limits::default()) {
+                // A text of nothing but metadata is a layer.
+                Err(error) if name.ends_with(".usda") && !has_prims && !error.is_truncated() => {
+                    assert!(error.to_string().contains("no prims of the type Points"), "{error}");
+                }
                 Err(error) => assert!(error.is_truncated(), "{name} at {length}: {error}"),
                 // What follows the last brace is white space.
                 Ok(_) => assert!(bytes[length..].iter().all(u8::is_ascii_whitespace), "{name} at {length}"),
@@ -155,8 +160,8 @@ fn contradictions_are_errors_or_notes() {
     }
     for (rest, word) in [
         ("def Points \"q\" ( references = @./q.usda@ ) {}", "/p/q refers to the layer q.usda"),
-        ("def Points \"q\" ( payload = @/etc/q.usda@ ) {}", "outside the folder"),
-        ("def Points \"q\" ( references = @../q.usda@ ) {}", "outside the folder"),
+        ("def Points \"q\" ( payload = @/etc/q.usda@ ) {}", "save it with relative paths"),
+        ("def Points \"q\" ( references = @../q.usda@ ) {}", "move the files into one folder"),
         ("def Points \"q\" ( references = </r> ) {}", "/p/q refers to the prim `/r`, which does not exist"),
         ("def Points \"q\" ( references = </p> ) {}", "nested more than 64 deep"),
         ("def Points \"q\" ( clips = { } ) {}", "/p/q has clips"),
@@ -231,4 +236,41 @@ fn meshes_of_other_programs_are_read() {
     let mesh = read_mesh(text, "a", &Limits::default(), &|_| Ok(Vec::new())).expect("two meshes");
     assert_eq!(mesh.positions[..3], [[0.0; 3], [-2.0, 0.0, 0.0], [-2.0, 2.0, 0.0]]);
     assert_eq!(mesh.triangles, [[0, 2, 1], [0, 3, 2], [4, 6, 5]]);
+}
+
+#[test]
+fn layers_without_prims_have_no_points() {
+    for text in ["#usda 1.0\n", "#usda 1.0\n( upAxis = \"Z\" )\n"] {
+        let error = read(text.as_bytes()).expect_err(text).to_string();
+        assert!(error.contains("no prims of the type Points"), "{error}");
+    }
+    assert!(read(b"#usda 1.0").expect_err("half a line").is_truncated());
+}
+
+#[test]
+fn obsolete_types_are_read() {
+    let text = "#usda 1.0\ndef Points \"p\" { PointFloat[] points = [(1, 2, 3), (4, 5, 6)]
+        Vec3f[] primvars:v = [(1, 2, 3), (4, 5, 6)] Vec2d[] primvars:w = [(1, 2), (3, 4)]
+        Vector[] velocities = [(1, 2, 3), (4, 5, 6)] Vec3i[] primvars:c = [(1, 2, 3), (4, 5, 6)] }";
+    let frame = read(text.as_bytes()).expect("points");
+    assert_eq!(frame.positions, FilePositions::F32(vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]));
+    assert_eq!(*values(&frame, "v"), Values::F32(vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0]));
+    assert_eq!(*values(&frame, "w"), Values::F64(vec![1.0, 2.0, 3.0, 4.0]));
+    assert_eq!(*values(&frame, "velocities"), Values::F64(vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0]));
+    assert_eq!(*values(&frame, "c"), Values::I32(vec![1, 2, 3, 4, 5, 6]));
+}
+
+#[test]
+fn one_width_is_that_of_all_points() {
+    for (name, radius, rest) in [
+        ("widths", 0.25, "float[] widths = [0.5] ( interpolation = \"constant\" )"),
+        ("widths", 0.25, "float[] widths = [0.5]"),
+        ("widths", 0.25, "float[] primvars:widths = [0.5]"),
+        ("pscale", 0.5, "float[] primvars:pscale = [0.5] ( interpolation = \"constant\" )"),
+        ("widths", 0.25, "float[] widths.timeSamples = { 1: [0.5] }"),
+    ] {
+        let frame = read(stage(rest).as_bytes()).unwrap_or_else(|error| panic!("{rest}: {error}"));
+        assert_eq!(frame.attributes[0].role, Some(AttributeRole::Radius), "{rest}");
+        assert_eq!(*values(&frame, name), Values::F32(vec![radius; 2]), "{rest}");
+    }
 }

@@ -9,10 +9,11 @@
 //! A prim has a site for each prim or variant of a stack that contributes to it, strongest first: its own,
 //! those that it inherits, its selected variants, its references, its payloads, and those that it
 //! specialises. Files are opened relative to the folder of the layer that names them, and must be within the
-//! folder of the first one. Value clips and relocated prims are refused.
+//! folder of the first one. Files of other formats, such as materials, are left out. Value clips and relocated prims
+//! are refused.
 
 use std::cell::{Cell, RefCell};
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 use std::rc::Rc;
 use std::slice;
 use std::sync::Arc;
@@ -23,7 +24,7 @@ use super::package::{LayerBytes, Package};
 use crate::container::{ContainerFile, OpenFurther, folder_of, further_path};
 use crate::error::{Error, Result};
 use crate::limits::Limits;
-use crate::text::excerpt;
+use crate::text::{excerpt, excerpts};
 
 /// The layers of a file, and those to which it refers.
 pub(crate) struct ComposedStage<'a> {
@@ -31,6 +32,8 @@ pub(crate) struct ComposedStage<'a> {
     limits: Limits,
     files: RefCell<Vec<Rc<LayerFile<'a>>>>,
     stacks: RefCell<Vec<Rc<LayerStack>>>,
+    /// Files of other formats to which the layers refer.
+    left_out: RefCell<BTreeSet<String>>,
     /// How many sites were composed; a long path counts as several.
     work: Cell<usize>,
     /// The largest `work`: references multiply prims, but not without end.
@@ -126,6 +129,7 @@ impl<'a> ComposedStage<'a> {
             limits: *limits,
             files: RefCell::default(),
             stacks: RefCell::default(),
+            left_out: RefCell::default(),
             work: Cell::new(0),
             work_max: Cell::new(SITES_MAX),
         };
@@ -142,6 +146,12 @@ impl<'a> ComposedStage<'a> {
     /// The time codes of a second.
     pub(crate) fn codes_per_second(&self) -> Result<f64> {
         codes_per_second(&self.file(0).layer)
+    }
+
+    /// A note on the files to which the traversed prims refer and which are not read.
+    pub(crate) fn left_out_note(&self) -> Option<String> {
+        let names = self.left_out.borrow();
+        (!names.is_empty()).then(|| format!("left out layers that are not USD: {}", excerpts(names.iter())))
     }
 
     /// Sets the counts of bytes and sites to 0.
@@ -193,10 +203,12 @@ impl<'a> ComposedStage<'a> {
         if let Some(package) = &from.package {
             let bytes =
                 package.file(path).ok_or_else(|| refused(place, path, "the package does not have it"))?;
-            return self.add_layer(bytes, path.to_owned(), Some(Rc::clone(package)));
+            let added = self.add_layer(bytes, path.to_owned(), Some(Rc::clone(package)));
+            return added.map_err(|error| error.in_file(path));
         }
         let file = (self.open)(path).map_err(|error| refused(place, path, &error.to_string()))?;
-        self.add_file(LayerBytes::new(file.into())?, path.to_owned())
+        let added = LayerBytes::new(file.into()).and_then(|bytes| self.add_file(bytes, path.to_owned()));
+        added.map_err(|error| error.in_file(path))
     }
 
     /// The stack of layers that starts with this file.
@@ -226,7 +238,8 @@ impl<'a> ComposedStage<'a> {
         layers.push((index, retime));
         let file = self.file(index);
         for LayerArc { asset, retime: own, .. } in file.layer.sublayers()? {
-            let further = self.further_file(index, &beside(&file.path, &asset, "the stage")?, "the stage")?;
+            let Some(path) = self.beside(&file.path, &asset, "the stage")? else { continue };
+            let further = self.further_file(index, &path, "the stage")?;
             let ratio = codes_per_second(&file.layer)? / codes_per_second(&self.file(further).layer)?;
             self.add_sublayers(further, combined(retime, [own[0], own[1] * ratio]), layers, depth + 1)?;
         }
@@ -515,17 +528,38 @@ impl<'a> ComposedStage<'a> {
         let mut arcs = Vec::new();
         for SiteNode { file, node, of_layer, .. } in self.nodes(slice::from_ref(site)).into_iter().rev() {
             if let Some(Value::ArcEdits(edits)) = file.layer.field(node, field)? {
-                let edits: ListEdits<LayerArc> = edits.map(|arc| {
+                let edits: ListEdits<LayerArc> = edits.filter_map(|arc| {
                     let asset = match arc.asset.as_str() {
-                        "" => String::new(),
-                        asset => beside(&file.path, asset, &excerpt(path))?,
+                        "" => Some(String::new()),
+                        asset => self.beside(&file.path, asset, &excerpt(path))?,
                     };
-                    Ok(LayerArc { asset, prim: arc.prim.clone(), retime: combined(of_layer, arc.retime) })
+                    let retime = combined(of_layer, arc.retime);
+                    Ok(asset.map(|asset| LayerArc { asset, prim: arc.prim.clone(), retime }))
                 })?;
                 arcs = edits.apply(arcs);
             }
         }
         Ok(arcs)
+    }
+
+    /// The path of a layer that the file `from` names; `None` for a file of another format.
+    ///
+    /// # Errors
+    /// [`Error::Unsupported`] if it is outside the folder of the first one, or within a package.
+    fn beside(&self, from: &str, asset: &str, place: &str) -> Result<Option<String>> {
+        let name = asset.rsplit(['/', '\\']).next().unwrap_or_default();
+        // OpenUSD, too, decides by the extension.
+        let extension = name.rsplit_once('.').map(|(_, extension)| extension.to_ascii_lowercase());
+        if extension.is_some_and(|extension| !extension.starts_with("usd")) {
+            self.left_out.borrow_mut().insert(asset.to_owned());
+            return Ok(None);
+        }
+        let path = further_path(FORMAT, folder_of(from), asset).map_err(|error| error.in_file(place))?;
+        // Brackets name a file within a package.
+        if path.contains('[') {
+            return Err(refused(place, asset, "it is within a package: unpack the package"));
+        }
+        Ok(Some(path))
     }
 
     /// The selected variant of a set.
@@ -553,17 +587,6 @@ fn codes_per_second(layer: &Layer) -> Result<f64> {
         None => layer.number(0, "framesPerSecond")?,
     };
     Ok(stated.filter(|stated| stated.is_finite() && *stated > 0.0).unwrap_or(24.0))
-}
-
-/// The path of a file that the file `from` names.
-///
-/// # Errors
-/// [`Error::Unsupported`] if it is outside the folder of the first one.
-fn beside(from: &str, asset: &str, place: &str) -> Result<String> {
-    let outside = || refused(place, asset, "it is outside the folder of the file");
-    // Brackets name a file within a package.
-    let path = further_path(FORMAT, folder_of(from), asset).ok().filter(|path| !path.contains('['));
-    path.ok_or_else(outside)
 }
 
 fn refused(place: &str, asset: &str, why: &str) -> Error {

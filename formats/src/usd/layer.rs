@@ -144,7 +144,13 @@ impl ArrayElement {
     /// The elements of an array of this type, such as `point3f`.
     pub(crate) fn named(name: &str) -> Option<ArrayElement> {
         let find = |name: &str| NUMBER_TYPES.iter().find(|(_, known, ..)| *known == name);
-        let name = if name == "frame4d" { "matrix4d" } else { name };
+        let name = match name {
+            "frame4d" => "matrix4d",
+            // Types of old versions of USD, such as `Vec3f`, are below.
+            "Point" | "Normal" | "Vector" | "Color" => "double3",
+            "PointFloat" | "NormalFloat" | "VectorFloat" | "ColorFloat" => "float3",
+            name => name,
+        };
         if ["string", "token", "asset"].contains(&name) {
             return Some(ArrayElement::Words);
         } else if let Some(&(.., number, arity)) = find(name) {
@@ -153,12 +159,13 @@ impl ArrayElement {
         // `float3` or, with a role, `point3f`
         let (stem, rest) = name.split_at(name.find(|c: char| c.is_ascii_digit())?);
         let arity = ["2", "3", "4"].iter().position(|digit| rest.starts_with(digit))? + 2;
-        let has_role = ["point", "normal", "vector", "color", "texCoord"].contains(&stem);
+        let has_role = ["point", "normal", "vector", "color", "texCoord", "Vec"].contains(&stem);
         let scalar = match (stem, &rest[1..]) {
             ("int" | "half" | "float" | "double", "") => stem,
             (_, "h") if has_role => "half",
             (_, "f") if has_role => "float",
             (_, "d") if has_role => "double",
+            ("Vec", "i") => "int",
             _ => return None,
         };
         find(scalar).map(|(.., number, _)| ArrayElement::Numbers(*number, arity))
@@ -206,9 +213,14 @@ impl<T: Clone + PartialEq> ListEdits<T> {
         self.prepended.iter().cloned().chain(kept).chain(self.appended.iter().cloned()).collect()
     }
 
-    /// The same edit of other items.
-    pub(crate) fn map<U>(&self, mut convert: impl FnMut(&T) -> Result<U>) -> Result<ListEdits<U>> {
-        let mut all = |items: &[T]| items.iter().map(&mut convert).collect::<Result<Vec<U>>>();
+    /// The same edit of other items; items without another are left out.
+    pub(crate) fn filter_map<U>(
+        &self,
+        mut convert: impl FnMut(&T) -> Result<Option<U>>,
+    ) -> Result<ListEdits<U>> {
+        let mut all = |items: &[T]| {
+            items.iter().filter_map(|item| convert(item).transpose()).collect::<Result<Vec<U>>>()
+        };
         Ok(ListEdits {
             explicit: self.explicit.as_deref().map(&mut all).transpose()?,
             deleted: all(&self.deleted)?,

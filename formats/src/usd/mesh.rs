@@ -108,7 +108,8 @@ pub(crate) fn mesh_prims(stage: &ComposedStage) -> Result<Vec<Rc<StagePrim>>> {
         Ok(true)
     })?;
     if found.is_empty() {
-        return Err(Error::unsupported(FORMAT, "the stage has no prims of the type Mesh"));
+        let left_out = stage.left_out_note().map(|note| format!("; {note}")).unwrap_or_default();
+        return Err(Error::unsupported(FORMAT, format!("the stage has no prims of the type Mesh{left_out}")));
     }
     Ok(found)
 }

@@ -159,6 +159,7 @@ impl PointPrims {
                 .notes
                 .push(format!("skipped prims for purposes other than rendering: {}", excerpts(&unrendered)));
         }
+        found.notes.extend(stage.left_out_note());
         let is_sequence = others.contains_key("Mesh") && is_own_sequence(stage)?;
         if !found.prims.is_empty() && !is_sequence {
             return Ok(found);
@@ -169,10 +170,10 @@ impl PointPrims {
         others.remove("");
         let others: Vec<String> =
             others.into_iter().map(|(kind, count)| format!("{count} {}", excerpt(kind))).collect();
-        let what = format!(
-            "the stage has no prims of the type Points or PointInstancer; it has {}",
-            if others.is_empty() { "no others".to_owned() } else { others.join(", ") }
-        );
+        let others = if others.is_empty() { "no others".to_owned() } else { others.join(", ") };
+        let left_out = stage.left_out_note().map(|note| format!("; {note}")).unwrap_or_default();
+        let what =
+            format!("the stage has no prims of the type Points or PointInstancer; it has {others}{left_out}");
         Err(Error::unsupported(FORMAT, what))
     }
 }
@@ -320,6 +321,11 @@ pub(crate) fn attributes(
         )]
         let size = size.clamp(1.0, f64::from(u16::MAX)) as usize;
         array.arity *= size;
+        // One width or radius is that of all points.
+        let is_for_all = array.values.len() == 1 && role_of(name, 1) == Some(AttributeRole::Radius);
+        if is_for_all && let Some(values) = number::gathered(&array.values, 1, &vec![0_u8; count]) {
+            array.values = values;
+        }
         let fits = count.checked_mul(array.arity) == Some(array.values.len());
         let interpolation = match field("interpolation")? {
             Some(Value::Word(word)) => word,
@@ -327,7 +333,7 @@ pub(crate) fn attributes(
             _ if primvar.is_none() || fits && count > 1 => "vertex".to_owned(),
             _ => "constant".to_owned(),
         };
-        let is_per_point = ["vertex", "varying"].contains(&interpolation.as_str());
+        let is_per_point = is_for_all || ["vertex", "varying"].contains(&interpolation.as_str());
         if !is_per_point || !fits {
             let is_constant = !is_per_point || array.values.len() == array.arity;
             let skipped = if is_constant { &mut constant } else { &mut unfit };

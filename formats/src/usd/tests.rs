@@ -145,6 +145,37 @@ fn layers_that_refer_to_each_other_are_refused() {
 }
 
 #[test]
+fn layers_that_are_not_usd_are_left_out() {
+    let others =
+        "( subLayers = [@sub/set.abc@] ) def \"M\" ( references = @../looks/wood.MTLX@</MaterialX> ) {} ";
+    let root = format!("{others}{}", points("p", 1.0));
+    let (found, notes) = line(&[("r.usda", &root)]);
+    assert_eq!(found, [1.0]);
+    assert_eq!(notes, "left out layers that are not USD: ../looks/wood.MTLX, sub/set.abc");
+    for (files, words) in [
+        (
+            &[("r.usda", others)][..],
+            "no prims of the type Points or PointInstancer; it has no others; left out",
+        ),
+        (
+            &[("r.usda", "def \"R\" ( references = @a.usda@</R> ) {}"), ("a.usda", "def \"R\" {")],
+            "at line 2: a.usda: the text ends too early",
+        ),
+        (
+            &[("r.usda", "def \"R\" ( references = @../a.usda@ ) {}")],
+            "/R: it names the file \"../a.usda\", which is outside of its own folder: move the files into one folder",
+        ),
+        (
+            &[("r.usda", "def \"R\" ( references = @b.usdz[a.usda]@ ) {}")],
+            "/R refers to the layer b.usdz[a.usda]: it is within a package: unpack the package",
+        ),
+    ] {
+        let error = frames(files).expect_err(words).to_string();
+        assert!(error.contains(words), "expected `{words}` in: {error}");
+    }
+}
+
+#[test]
 fn time_samples_are_frames() {
     let samples = "( timeCodesPerSecond = 50 ) def Xform \"x\" {
         double3 xformOp:translate.timeSamples = { 1: (0, 0, 0), 5: (40, 0, 0) }

@@ -314,14 +314,11 @@ struct UsdaParser<'t, 'a> {
 impl UsdaParser<'_, '_> {
     fn layer(&mut self) -> Result<()> {
         self.text.skip_line()?; // #usda 1.0
+        self.text.next()?; // a layer may have nothing but this line
         self.metadata(0)?;
         while self.text.ahead()?.is_some() {
             let word = self.text.word()?;
             self.statement(0, &word, 0)?;
-        }
-        // A layer without prims that changes no other layer has no purpose.
-        if self.nodes.len() == 1 && !self.nodes[0].fields.has("subLayers") {
-            return Err(self.text.ended());
         }
         Ok(())
     }
