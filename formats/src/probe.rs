@@ -12,6 +12,7 @@ use std::ops::Range;
 use crate::abc;
 use crate::compression::{Codec, name_without_compression};
 use crate::csv;
+use crate::hdf5;
 use crate::json;
 use crate::neighbor::Neighbor;
 use crate::obj_points;
@@ -139,6 +140,7 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
     match Format::ALL.into_iter().find(has_signature) {
         Some(Format::Vdb) if vdb::starts_with_points(head) => return ProbedKind::Format(Format::VdbPoints),
         Some(format) => return ProbedKind::Format(format),
+        None if hdf5::has_user_block(head) => return ProbedKind::Format(Format::Hdf5),
         None => {}
     }
     if let Cow::Owned(text) = csv::decoded(head) {

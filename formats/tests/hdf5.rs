@@ -154,6 +154,65 @@ fn files_without_particles_have_no_frames() {
     assert!(error.contains(words), "{error}");
 }
 
+/// A file with these bytes replaced wherever they are.
+fn replaced(name: &str, from: &[u8], to: &[u8]) -> Vec<u8> {
+    let mut bytes = file(name);
+    let places: Vec<usize> = (0..bytes.len()).filter(|at| bytes[*at..].starts_with(from)).collect();
+    assert!(!places.is_empty() && from.len() == to.len(), "{from:?} in {name}");
+    for at in places {
+        bytes[at..at + to.len()].copy_from_slice(to);
+    }
+    bytes
+}
+
+#[test]
+fn numbers_of_other_bits_are_not_read() {
+    let f32 = [32, 0, 23, 8, 0, 23, 127, 0, 0, 0]; // precision, exponent, mantissa, bias
+    let f64 = [64, 0, 52, 11, 0, 52, 255, 3, 0, 0];
+    let u32 = [0x10, 0, 0, 0, 4, 0, 0, 0, 0, 0, 32, 0];
+    let table: [(&str, &[u8], &[u8], &str); 6] = [
+        ("gadget.h5", &f32, &[32, 0, 24, 7, 0, 24, 63, 0, 0, 0], "Masses|Velocities"),
+        ("gadget.h5", &f32, &[32, 0, 23, 8, 0, 23, 126, 0, 0, 0], "Masses|Velocities"),
+        ("gadget.h5", &u32, &[0x10, 0, 0, 0, 4, 0, 0, 0, 0, 0, 24, 0], "ParticleIDs"),
+        ("gadget.h5", &u32, &[0x10, 0, 0, 0, 4, 0, 0, 0, 8, 0, 24, 0], "ParticleIDs"),
+        ("records.h5", &f64, &[64, 0, 52, 11, 0, 52, 254, 3, 0, 0], "vel"),
+        ("records.h5", &f32, &[32, 0, 24, 7, 0, 24, 63, 0, 0, 0], ""),
+    ];
+    for (name, from, to, skipped) in table {
+        let Ok(frame) = read(&replaced(name, from, to), 0) else {
+            assert_eq!(skipped, "", "of {name}"); // the positions
+            continue;
+        };
+        check_positions(&frame, 0.0, name);
+        for skipped in skipped.split('|') {
+            assert!(!frame.attributes.iter().any(|attribute| attribute.name == skipped), "{name} {skipped}");
+            assert!(frame.notes.iter().any(|note| note.contains(skipped)), "{name}: {:?}", frame.notes);
+        }
+    }
+}
+
+#[test]
+fn files_behind_a_user_block_are_read() {
+    for name in ["gadget.h5", "swift.h5"] {
+        for length in [512, 4096] {
+            let mut bytes = b"MATLAB 7.3 MAT-file, Platform: GLNXA64\n".to_vec();
+            bytes.resize(length, 0);
+            bytes.extend(file(name));
+            assert_eq!(probe(&bytes, "a.mat").to_string(), "HDF5");
+            let frame = read(&bytes, 0).unwrap_or_else(|error| panic!("{name}: {error}"));
+            check_positions(&frame, 0.0, name);
+        }
+    }
+}
+
+#[test]
+fn particles_of_openpmd_are_below_their_path() {
+    // The same length: only the name of the group changes.
+    let elsewhere = replaced("openpmd.h5", b"particles\0", b"fields___\0");
+    assert_eq!(samples(&elsewhere).unwrap(), []);
+    assert!(read(&elsewhere, 0).is_err());
+}
+
 #[test]
 fn truncated_files_are_reported_as_such() {
     for (name, bytes) in hdf5_files() {

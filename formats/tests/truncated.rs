@@ -53,6 +53,9 @@ fn check_all_cuts(name: &str, bytes: &[u8]) {
         match read(start, name) {
             Ok(found) => assert_eq!(found, count, "{name}, cut at {cut} of {}", bytes.len()),
             Err(error) if error.is_truncated() => {}
+            // A layer may have nothing but metadata.
+            Err(error)
+                if start.starts_with(b"#usda") && error.to_string().contains("no prims of the type") => {}
             Err(error) => panic!("{name}, cut at {cut} of {}: {error}", bytes.len()),
         }
         let found = completeness(&mut std::io::Cursor::new(start), name).unwrap();

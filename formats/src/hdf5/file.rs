@@ -27,7 +27,7 @@ use hdf5_reader::{
 
 use super::FORMAT;
 use crate::batches::ReadAt;
-use crate::bytes::Endian;
+use crate::bytes::{Cursor, Endian};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::lzf;
@@ -341,31 +341,40 @@ impl HdfTable {
 
 /// The layout of a data set, and the names of fields that are not numeric; or why it cannot be a table.
 fn table_of(name: &str, data: Dataset) -> std::result::Result<(HdfTable, Vec<String>), String> {
+    if has_wider_index(&data) {
+        return Err(
+            "the index of its chunks is for a larger maximal shape: save it with maxshape=None".into()
+        );
+    }
     let shape = data.shape().to_vec();
+    let description = data.raw_datatype().map_err(|error| error.to_string())?;
+    let are_plain = plain_numbers(&mut Cursor::new(FORMAT, Endian::Little, &description, 0))
+        .map_err(|error| error.to_string())?;
     let mut skipped = Vec::new();
     let (fields, stride, row_count) = match (data.dtype(), &shape[..]) {
         (Datatype::Compound { size, fields }, &[row_count]) => {
             let stride = usize::try_from(*size).unwrap_or_default();
             let mut columns = Vec::new();
-            for field in fields {
-                match numbers_of(&field.datatype) {
-                    // The layout of 16-bit floats in a record is not known.
-                    Some((number, endian, arity)) if number != NumberType::F16 => columns.push(HdfField {
+            for (field, is_plain) in fields.iter().zip(are_plain) {
+                match numbers_of(&field.datatype).filter(|_| is_plain) {
+                    Some((number, endian, arity)) => columns.push(HdfField {
                         name: field.name.clone(),
                         arity,
                         offset: usize::try_from(field.byte_offset).unwrap_or(usize::MAX),
                         number,
                         endian,
                     }),
-                    _ => skipped.push(field.name.clone()),
+                    None => skipped.push(field.name.clone()),
                 }
             }
             (columns, stride, row_count)
         }
         (datatype, shape) => {
             let (number, endian, inner) = numbers_of(datatype).ok_or("it is not numeric")?;
-            if number == NumberType::F16 && !is_half(&data) {
-                return Err("its 16-bit floats are not those of IEEE 754".into());
+            if are_plain != [true] {
+                return Err(
+                    "its numbers have an unusual layout of bits: save it as 32- or 64-bit floats".into()
+                );
             }
             let (row_count, columns) = match *shape {
                 [row_count] => (row_count, 1),
@@ -424,10 +433,90 @@ fn is_axis(data: &Dataset) -> bool {
     data.attributes().iter().any(is_mark)
 }
 
-/// Whether 16-bit floats have the five bits of exponent of IEEE 754: others have eight.
-fn is_half(data: &Dataset) -> bool {
-    const EXPONENT_BITS: usize = 13; // its place in the description of the type
-    data.raw_datatype().is_ok_and(|bytes| bytes.get(EXPONENT_BITS) == Some(&5))
+/// Whether the index of the chunks can number them by a maximal shape, where `hdf5-reader` takes the shape: one without
+/// unlimited dimensions that has more chunks in a dimension other than the first.
+fn has_wider_index(data: &Dataset) -> bool {
+    let (Some(chunks), Some(largest)) = (data.chunks(), data.max_dims()) else { return false };
+    let count = |length: u64, chunk: u32| length.div_ceil(u64::from(chunk).max(1));
+    let mut later = data.shape().iter().zip(largest).zip(chunks).skip(1);
+    !largest.contains(&u64::MAX)
+        && later.any(|((length, largest), chunk)| count(*length, chunk) != count(*largest, chunk))
+}
+
+/// Whether all bits of a number are those of an integer, or of a float of IEEE 754, as they are decoded; for records, of
+/// the numbers in each field. The description of the type is the one that `hdf5-reader` has parsed, without a look at
+/// the bits.
+fn plain_numbers(cursor: &mut Cursor) -> Result<Vec<bool>> {
+    const WHAT: &str = "the description of a type";
+    let (word, size) = (cursor.u32(WHAT)?, cursor.u32(WHAT)?);
+    let (class, version, flags) = (word & 15, word >> 4 & 15, word >> 8);
+    let is_old = version < 3;
+    let skip_name = |cursor: &mut Cursor| {
+        let start = cursor.at();
+        while cursor.u8(WHAT)? != 0 {}
+        let length = cursor.at() - start;
+        let padding = if is_old { length.next_multiple_of(8) - length } else { 0 };
+        cursor.take(padding, WHAT).map(drop)
+    };
+    Ok(vec![match class {
+        // bit offset, precision; the flags are the byte order, padding and the sign
+        0 => flags < 16 && cursor.u32(WHAT)? == size.wrapping_mul(8) << 16,
+        // bit offset, precision; places and sizes of exponent and mantissa; bias
+        1 => is_ieee(flags, size, [cursor.u32(WHAT)?, cursor.u32(WHAT)?, cursor.u32(WHAT)?]),
+        2 | 4 | 5 => {
+            let length = if class == 5 { (flags & 0xff).next_multiple_of(8) } else { class };
+            cursor.take(length as usize, WHAT)?;
+            false
+        }
+        6 => {
+            let mut are_plain = Vec::new();
+            for _ in 0..flags & 0xffff {
+                skip_name(cursor)?;
+                let offset_bytes = if is_old { 4 } else { 4 - size.max(1).leading_zeros() as usize / 8 };
+                cursor.take(offset_bytes, WHAT)?;
+                // Fields of the first version can be arrays.
+                let is_array = version == 1 && cursor.take(28, WHAT)?[0] != 0;
+                are_plain.push(plain_numbers(cursor)? == [true] && !is_array);
+            }
+            return Ok(are_plain);
+        }
+        8 => {
+            let is_plain = plain_numbers(cursor)? == [true];
+            for _ in 0..flags & 0xffff {
+                skip_name(cursor)?;
+            }
+            cursor.take(((flags & 0xffff) as usize).saturating_mul(size as usize), WHAT)?;
+            is_plain
+        }
+        9 => {
+            plain_numbers(cursor)?;
+            false
+        }
+        10 => {
+            let rank = usize::from(cursor.u8(WHAT)?);
+            // the lengths; before the third version, also reserved bytes, and an order of the dimensions
+            cursor.take(if is_old { 3 + 8 * rank } else { 4 * rank }, WHAT)?;
+            plain_numbers(cursor)? == [true]
+        }
+        _ => false, // texts and references, without more
+    }])
+}
+
+/// Whether the description of a float is that of IEEE 754.
+fn is_ieee(flags: u32, size: u32, layout: [u32; 3]) -> bool {
+    let (exponent, mantissa) = match size {
+        2 => (5, 10),
+        4 => (8, 23),
+        _ => (11, 52),
+    };
+    let bits = 1 + u32::from(exponent) + u32::from(mantissa);
+    let places = u32::from_le_bytes([mantissa, exponent, 0, mantissa]);
+    // The leading bit of the mantissa is implied, and the sign is the last bit. The other flags are the byte order of
+    // integers and padding.
+    let expected_flags = (bits - 1) << 8 | 0x20;
+    bits == size.wrapping_mul(8)
+        && layout == [bits << 16, places, (1 << (exponent - 1)) - 1]
+        && flags & !0xf == expected_flags
 }
 
 /// The first of these attributes that is a number.

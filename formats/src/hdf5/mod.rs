@@ -37,10 +37,17 @@ use file::{HdfFile, HdfTable, attributes_of, number_in, with_file};
 /// The format's name in errors.
 const FORMAT: &str = "HDF5";
 
+const SIGNATURE: &[u8] = b"\x89HDF\r\n\x1a\n";
+
+/// Whether the signature is behind a user block of up to 4 KiB, as in files of MATLAB.
+pub(crate) fn has_user_block(head: &[u8]) -> bool {
+    [512, 1024, 2048, 4096].iter().any(|at| head.get(*at..).is_some_and(|rest| rest.starts_with(SIGNATURE)))
+}
+
 /// The row in the table of formats.
 pub(crate) static ROW: FormatRow = FormatRow {
-    signatures: &[b"\x89HDF\r\n\x1a\n"],
-    beginnings: &[b"\x89HDF\r\n\x1a\n"],
+    signatures: &[SIGNATURE],
+    beginnings: &[SIGNATURE],
     particles: Some(ParticleReader::container(ContainerReader::new(samples, read))),
     ..FormatRow::new(FORMAT, &["h5", "hdf5", "hdf", "h5part"])
 };
@@ -125,9 +132,10 @@ fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
     if steps.is_empty() && groups.iter().any(|name| name == "data") {
         let (iterations, _) = file.members(&file.group(&root, "data")?)?;
         steps = iterations.iter().filter_map(|name| step("data/", name, "")).collect();
+        let particles = particles_path(file)?.unwrap_or_else(|| "particles".to_owned());
         // Iterations can have fields only.
         if let Some(first) = steps.first()
-            && !file.members(&file.group(&root, &first.path)?)?.0.iter().any(|name| name == "particles")
+            && group_below(file, &file.group(&root, &first.path)?, &particles)?.is_none()
         {
             steps.clear();
         }
@@ -139,6 +147,26 @@ fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
     }
     steps.sort_by_key(|step| step.number);
     Ok(steps)
+}
+
+/// Where an openPMD file has particles, below each iteration; `None` for other files.
+fn particles_path(file: &HdfFile) -> Result<Option<String>> {
+    let attributes = attributes_of(&file.root()?)?;
+    let text = |name: &str| attributes.iter().find(|attribute| attribute.name == name)?.read_string().ok();
+    let path = || text("particlesPath").unwrap_or_else(|| "particles".to_owned());
+    Ok(text("openPMD").map(|_| path().trim_matches('/').to_owned()))
+}
+
+/// The group at a path below another one, if there is one.
+fn group_below(file: &HdfFile, group: &Group, path: &str) -> Result<Option<Group>> {
+    let mut group = group.clone();
+    for name in path.split('/') {
+        if !file.members(&group)?.0.iter().any(|found| found == name) {
+            return Ok(None);
+        }
+        group = file.group(&group, name)?;
+    }
+    Ok(Some(group))
 }
 
 /// The time that a step states, or that a header or the solver's data beside the particles state.
@@ -173,8 +201,15 @@ const FLUIDS: &[&str] = &["fluid", "water", "liquid"];
 
 /// Finds the particles of a step. The notes are on the choice or, if there are no particles, on data sets.
 fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Result<Option<ParticleGroup>> {
-    let mut level = vec![(String::new(), step.clone())];
-    let mut visited = HashSet::from([step.address()]);
+    // Beside the particles of openPMD are meshes, whose components have the same names.
+    let mut level = match particles_path(file)? {
+        Some(path) => {
+            let below = group_below(file, step, &path)?;
+            below.map(|group| (format!("/{path}"), group)).into_iter().collect()
+        }
+        None => vec![(String::new(), step.clone())],
+    };
+    let mut visited: HashSet<u64> = level.iter().map(|(_, group)| group.address()).collect();
     for _ in 0..=DEPTH_MAX {
         let (mut found, mut below) = (Vec::new(), Vec::new());
         for (path, group) in level {
