@@ -274,3 +274,13 @@ fn one_width_is_that_of_all_points() {
         assert_eq!(*values(&frame, name), Values::F32(vec![radius; 2]), "{rest}");
     }
 }
+
+#[test]
+fn damaged_files_of_packages_are_named() {
+    let mut package = archive(&[("first.usda", stage("").into_bytes())], false);
+    read(&package).expect("a package");
+    let at = package.windows(9).position(|bytes| bytes == b"(4, 5, 6)").expect("a point");
+    package[at + 1] = b'7';
+    let error = read(&package).expect_err("another point").to_string();
+    assert!(error.contains("the file `first.usda` of the package has the checksum"), "{error}");
+}

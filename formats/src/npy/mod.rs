@@ -505,7 +505,7 @@ const DEFLATED: u16 = 8;
 pub(crate) struct ArchiveMember {
     pub(crate) name: String,
     pub(crate) method: u16,
-    checksum: u32,
+    pub(crate) checksum: u32,
     packed_bytes: u64,
     pub(crate) bytes: u64,
     pub(crate) local_offset: u64,

@@ -34,6 +34,8 @@ pub(crate) struct ComposedStage<'a> {
     stacks: RefCell<Vec<Rc<LayerStack>>>,
     /// Files of other formats to which the layers refer.
     left_out: RefCell<BTreeSet<String>>,
+    /// Whether to compare the layers of packages with their checksums, which reads all of their bytes.
+    checks_sums: bool,
     /// How many sites were composed; a long path counts as several.
     work: Cell<usize>,
     /// The largest `work`: references multiply prims, but not without end.
@@ -114,8 +116,13 @@ impl<'a> ComposedStage<'a> {
     ///
     /// # Errors
     /// Those of [`Layer::read`]; [`Error::Unsupported`] for a sublayer that cannot be opened.
-    pub(crate) fn open(container: &ContainerFile<'a>, limits: &Limits) -> Result<ComposedStage<'a>> {
-        ComposedStage::of_file(LayerBytes::new(Rc::new(container.file))?, container.open, limits)
+    pub(crate) fn open(
+        container: &ContainerFile<'a>,
+        limits: &Limits,
+        checks_sums: bool,
+    ) -> Result<ComposedStage<'a>> {
+        let file = LayerBytes::new(Rc::new(container.file))?;
+        ComposedStage::of_file(file, container.open, limits, checks_sums)
     }
 
     /// The stage of a file, which `open` opens others beside.
@@ -123,6 +130,7 @@ impl<'a> ComposedStage<'a> {
         file: LayerBytes<'a>,
         open: &'a OpenFurther<'a>,
         limits: &Limits,
+        checks_sums: bool,
     ) -> Result<ComposedStage<'a>> {
         let stage = ComposedStage {
             open,
@@ -130,6 +138,7 @@ impl<'a> ComposedStage<'a> {
             files: RefCell::default(),
             stacks: RefCell::default(),
             left_out: RefCell::default(),
+            checks_sums,
             work: Cell::new(0),
             work_max: Cell::new(SITES_MAX),
         };
@@ -170,10 +179,21 @@ impl<'a> ComposedStage<'a> {
             return self.add_layer(file, path, None);
         }
         let package = Package::read(&file)?;
-        let Some((first, bytes)) = package.files.first().cloned() else {
+        let Some((first, ..)) = package.files.first().cloned() else {
             return Err(Error::unsupported(FORMAT, "the package has no files"));
         };
-        self.add_layer(bytes, first, Some(Rc::new(package)))
+        self.add_packed(Rc::new(package), &first, "the package")
+    }
+
+    /// Opens a file of a package. `place` is what refers to it.
+    fn add_packed(&self, package: Rc<Package<'a>>, path: &str, place: &str) -> Result<usize> {
+        let found = package.files.iter().find(|(name, ..)| name == path).cloned();
+        let missing = || refused(place, path, "the package does not have it");
+        let (_, bytes, checksum) = found.ok_or_else(missing)?;
+        if self.checks_sums {
+            bytes.check(checksum, path)?;
+        }
+        self.add_layer(bytes, path.to_owned(), Some(package)).map_err(|error| error.in_file(path))
     }
 
     fn add_layer(
@@ -201,10 +221,7 @@ impl<'a> ComposedStage<'a> {
             return Ok(index);
         }
         if let Some(package) = &from.package {
-            let bytes =
-                package.file(path).ok_or_else(|| refused(place, path, "the package does not have it"))?;
-            let added = self.add_layer(bytes, path.to_owned(), Some(Rc::clone(package)));
-            return added.map_err(|error| error.in_file(path));
+            return self.add_packed(Rc::clone(package), path, place);
         }
         let file = (self.open)(path).map_err(|error| refused(place, path, &error.to_string()))?;
         let added = LayerBytes::new(file.into()).and_then(|bytes| self.add_file(bytes, path.to_owned()));

@@ -19,11 +19,11 @@ use crate::text::excerpt;
 
 /// How the meshes of stages are read.
 pub(crate) const READER: SceneMeshReader = SceneMeshReader {
-    are_animated: |file, limits| is_animated(&ComposedStage::open(file, limits)?),
+    are_animated: |file, limits| is_animated(&ComposedStage::open(file, limits, true)?),
     read: |file, number, limits| {
         #[expect(clippy::cast_precision_loss, reason = "time codes of stages are doubles")]
         let time = number.map(|number| number as f64);
-        read_mesh(&ComposedStage::open(file, limits)?, time, limits)
+        read_mesh(&ComposedStage::open(file, limits, false)?, time, limits)
     },
 };
 
@@ -84,7 +84,7 @@ fn is_animated(stage: &ComposedStage) -> Result<bool> {
 /// Reads the mesh of a file without animation. `read_external` reads the files to which it refers.
 pub(crate) fn read_alone(bytes: &[u8], limits: &Limits, read_external: &ReadExternal) -> Result<MeshData> {
     let open: &OpenFurther = &|path| Ok(Box::new(Arc::<[u8]>::from(read_external(path)?)));
-    let stage = ComposedStage::of_file(LayerBytes::new(Rc::new(bytes))?, open, limits)?;
+    let stage = ComposedStage::of_file(LayerBytes::new(Rc::new(bytes))?, open, limits, true)?;
     if is_animated(&stage)? {
         return Err(Error::unsupported(FORMAT, "this file is a sequence: use the file of one frame"));
     }

@@ -43,6 +43,30 @@ impl<'a> LayerBytes<'a> {
         Ok(head)
     }
 
+    /// Compares the checksum of a file of a package with the one that the package states.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`], with the name of the file, if they differ.
+    pub(crate) fn check(&self, stated: u32, name: &str) -> Result<()> {
+        let mut checksum = flate2::Crc::new();
+        let mut at = 0;
+        while at < self.length {
+            let piece = self.piece(at, PIECE_BYTES.min(self.length - at))?;
+            checksum.update(&piece);
+            at += piece.len() as u64;
+        }
+        if checksum.sum() == stated {
+            return Ok(());
+        }
+        let found = checksum.sum();
+        let what = format!(
+            "the file `{}` of the package has the checksum {found:08x}, not {stated:08x}: it is damaged, so copy or write \
+             the package again",
+            excerpt(name)
+        );
+        Err(Error::invalid(FORMAT, Position::Offset(self.start), what))
+    }
+
     fn piece(&self, at: u64, length: u64) -> Result<Vec<u8>> {
         let too_large = |_| Error::too_large(FORMAT, "the package is too large");
         let mut bytes = vec![0; usize::try_from(length).map_err(too_large)?];
@@ -85,10 +109,13 @@ impl<'a> LimitedBytes<'a> {
     }
 }
 
-/// An open package: its files with their names, the first one first.
+/// An open package: its files with their names and checksums, the first one first.
 pub(crate) struct Package<'a> {
-    pub(crate) files: Vec<(String, LayerBytes<'a>)>,
+    pub(crate) files: Vec<(String, LayerBytes<'a>, u32)>,
 }
+
+/// The bytes of a file that are in memory at a time while its checksum is computed.
+const PIECE_BYTES: u64 = 1 << 20;
 
 /// More than the end of an archive has: its comment, and the records before it.
 const TAIL_BYTES: u64 = 70 << 10;
@@ -117,7 +144,7 @@ impl<'a> Package<'a> {
         let bytes = file.piece(start.min(size), length)?;
         let mut files = Vec::new();
         for member in entries(&bytes, count).map_err(|error| error.with_format(FORMAT))? {
-            let ArchiveMember { name, method, bytes: length, local_offset, .. } = member;
+            let ArchiveMember { name, method, checksum, bytes: length, local_offset, .. } = member;
             if method != STORED {
                 let what = format!(
                     "the file `{}` of the package is compressed, which .usdz does not allow",
@@ -138,14 +165,9 @@ impl<'a> Package<'a> {
             if start.checked_add(length).is_none_or(|end| end > size) {
                 return Err(beyond());
             }
-            files.push((name, LayerBytes { start: file.start + start, length, ..file.clone() }));
+            files.push((name, LayerBytes { start: file.start + start, length, ..file.clone() }, checksum));
         }
-        files.sort_by_key(|(_, bytes)| bytes.start);
+        files.sort_by_key(|(_, bytes, _)| bytes.start);
         Ok(Package { files })
-    }
-
-    /// The bytes of a file.
-    pub(crate) fn file(&self, name: &str) -> Option<LayerBytes<'a>> {
-        self.files.iter().find(|(known, _)| known == name).map(|(_, bytes)| bytes.clone())
     }
 }

@@ -53,7 +53,7 @@ impl<'a> UsdcLayer<'a> {
 
     fn of_file(bytes: LayerBytes<'a>, limits: &Limits) -> Result<UsdcLayer<'a>> {
         check_magic(&bytes.head::<8>()?)?;
-        let stage = ComposedStage::of_file(bytes, &no_other_file, limits)?;
+        let stage = ComposedStage::of_file(bytes, &no_other_file, limits, false)?;
         let info = stage.root_layer(layer_info)?;
         let meshes = mesh_prims(&stage)?;
         let [mesh] = &meshes[..] else {
