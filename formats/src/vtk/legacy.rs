@@ -17,6 +17,8 @@
 //!   CELL_DATA 64                      the following arrays are skipped
 //! ```
 //!
+//! In a file of decimals, data can start on the line of its keyword.
+//!
 //! The format has no end mark: a file is complete if no data is missing.
 
 use super::blocks::decimals;
@@ -191,6 +193,7 @@ impl<'a> File<'a> {
             "VERTICES" | "LINES" | "POLYGONS" | "TRIANGLE_STRIPS" | "CELLS" => self.cell_section(line, found),
             "CELL_TYPES" => {
                 let count = line.count(1, "the number of cells")?;
+                self.back_to_data(line, 2);
                 if !found.keeps_cells && !found.has_large_cells {
                     return self.pass(line, NumberType::I32, count);
                 }
@@ -225,16 +228,19 @@ impl<'a> File<'a> {
             "GLOBAL_IDS" | "PEDIGREE_IDS" | "EDGE_FLAGS" => self.array_of(line, 1, found),
             "TEXTURE_COORDINATES" => {
                 let arity = line.count(2, "the number of components")?;
+                self.back_to_data(line, 4);
                 self.array(line, line.word(1).to_string(), line.word(3), arity, found)
             }
             "COLOR_SCALARS" => {
                 let kind = if self.is_binary { "unsigned_char" } else { "float" };
                 let arity = line.count(2, "the number of components")?;
+                self.back_to_data(line, 3);
                 self.array(line, line.word(1).to_string(), kind, arity, found)
             }
             "LOOKUP_TABLE" => {
                 let number = if self.is_binary { NumberType::U8 } else { NumberType::F32 };
                 let count = line.count(2, "the size of a table")?;
+                self.back_to_data(line, 3);
                 self.pass(line, number, count.saturating_mul(4))
             }
             "FIELD" => self.field(line, found),
@@ -243,6 +249,15 @@ impl<'a> File<'a> {
                 Err(line
                     .invalid(&format!("expected a keyword such as POINT_DATA, found `{}`", excerpt(other))))
             }
+        }
+    }
+
+    /// Goes back to the decimals on the line of a keyword, after the words that belong to the keyword.
+    fn back_to_data(&mut self, line: &LegacyLine, word_count: usize) {
+        let is_number = |word: &&str| word.starts_with(|c: char| c.is_ascii_digit() || "+-.".contains(c));
+        if !self.is_binary && line.words.get(word_count).is_some_and(is_number) {
+            let mut words = WordSpans { bytes: &self.bytes[line.at..], at: 0 };
+            self.at = line.at + words.nth(word_count - 1).map_or(0, |(_, end)| end);
         }
     }
 
@@ -258,6 +273,7 @@ impl<'a> File<'a> {
                     .invalid(&format!("the points have the unsupported type `{}`", excerpt(line.word(2)))));
             }
         };
+        self.back_to_data(line, 3);
         let values = self.values(line, number, (count as u64).saturating_mul(3))?;
         found.positions = Some(positions_of(LEGACY, values)?);
         Ok(())
@@ -266,6 +282,7 @@ impl<'a> File<'a> {
     /// Reads the cells of a section if a mesh is read; otherwise skips them.
     fn cell_section(&mut self, line: &LegacyLine, found: &mut LegacyData) -> Result<()> {
         let (count, size) = (line.count(1, "the number of cells")?, line.count(2, "the size of the cells")?);
+        self.back_to_data(line, 3);
         // If OFFSETS follow, the count is one more than the number of cells.
         let has_offsets = self.bytes[self.at..].trim_ascii_start().starts_with(b"OFFSETS");
         let cell_count = count.saturating_sub(has_offsets.into());
@@ -305,6 +322,7 @@ impl<'a> File<'a> {
     }
 
     fn typed_cell_numbers(&mut self, line: &LegacyLine, count: u64, found: &LegacyData) -> Result<Vec<i64>> {
+        self.back_to_data(line, 2);
         match type_of(line.word(1)) {
             Some(Type::Of(number)) => self.cell_numbers(line, number, count, found),
             _ => {
@@ -346,6 +364,7 @@ impl<'a> File<'a> {
 
     /// Reads an array declared by `VECTORS name type` or a similar line.
     fn array_of(&mut self, line: &LegacyLine, arity: u64, found: &mut LegacyData) -> Result<()> {
+        self.back_to_data(line, 3);
         self.array(line, line.word(1).to_string(), line.word(2), arity, found)
     }
 
@@ -383,6 +402,7 @@ impl<'a> File<'a> {
             let next = next.ok_or_else(|| self.truncated(what()))?;
             let [arity, tuples] =
                 [next.count(1, "the number of components")?, next.count(2, "the number of values")?];
+            self.back_to_data(&next, 4);
             let expected = found.positions.as_ref().map(|positions| positions.len() as u64);
             let is_kept = found.is_of_points && expected == Some(tuples);
             if found.is_of_points && !is_kept {
