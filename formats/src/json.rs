@@ -200,7 +200,10 @@ impl JsonLists {
             _ => return Err(text.invalid("expected a list or an object")),
         }
         match text.skip_space() {
-            Some(_) => Err(text.invalid("expected the end of the file")),
+            Some(_) => Err(text.invalid(
+                "the text goes on after its first value; JSON with a value on each line is not read: put all of them into \
+                 one list, [..]",
+            )),
             None => Ok(()),
         }
     }

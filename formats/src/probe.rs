@@ -12,6 +12,7 @@ use std::ops::Range;
 use crate::abc;
 use crate::compression::{Codec, name_without_compression};
 use crate::csv;
+use crate::gltf;
 use crate::hdf5;
 use crate::json;
 use crate::neighbor::Neighbor;
@@ -139,6 +140,7 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
     let has_signature = |format: &Format| format.row().signatures.iter().any(|bytes| head.starts_with(bytes));
     match Format::ALL.into_iter().find(has_signature) {
         Some(Format::Vdb) if vdb::starts_with_points(head) => return ProbedKind::Format(Format::VdbPoints),
+        Some(Format::Glb) if gltf::declares_points(head) => return ProbedKind::Format(Format::GltfPoints),
         Some(format) => return ProbedKind::Format(format),
         None if hdf5::has_user_block(head) => return ProbedKind::Format(Format::Hdf5),
         None => {}
@@ -243,10 +245,16 @@ fn continues_as_toml(text: &[u8]) -> bool {
 }
 
 /// Whether a text starts with the header of a section: a name in single or double brackets, which is not a
-/// value of JSON.
+/// value of JSON, and at most a comment after it.
 fn starts_with_section(text: &[u8]) -> bool {
-    let name = text.strip_prefix(b"[[").or_else(|| text.strip_prefix(b"[")).unwrap_or_default();
-    let name = name.split(|&byte| byte == b']').next().unwrap_or_default().trim_ascii();
+    let line = Lines::new(text).next().unwrap_or_default();
+    let name = line.strip_prefix(b"[[").or_else(|| line.strip_prefix(b"[")).unwrap_or_default();
+    let (name, rest) = name.split_at(name.iter().position(|&byte| byte == b']').unwrap_or(name.len()));
+    let rest = rest.iter().find(|byte| !b"] \t\r".contains(byte));
+    if rest.is_some_and(|byte| !b"#;".contains(byte)) {
+        return false;
+    }
+    let name = name.trim_ascii();
     let is_name = |byte: &u8| byte.is_ascii_alphanumeric() || b"_-.".contains(byte);
     let is_value = [&b"true"[..], b"false", b"null"].contains(&name);
     name.first().is_some_and(u8::is_ascii_alphabetic) && name.iter().all(is_name) && !is_value
@@ -262,7 +270,8 @@ fn json_kind(text: &[u8], name: &str) -> ProbedKind {
     }
     let gltf_keys: [&[u8]; 4] = [b"\"asset\"", b"\"accessors\"", b"\"bufferViews\"", b"\"meshes\""];
     if name.ends_with(".gltf") || gltf_keys.iter().any(|key| contains(text, key)) {
-        return ProbedKind::Format(Format::Gltf);
+        let has_points = gltf::declares_points(text);
+        return ProbedKind::Format(if has_points { Format::GltfPoints } else { Format::Gltf });
     }
     ProbedKind::Format(Format::Json)
 }

@@ -123,13 +123,14 @@ formats! {
         LammpsDump => crate::lammps::ROW,
         /// XYZ atoms as text: a count, a comment, then one atom per line; frames can follow one another.
         XyzAtoms => crate::xyz_ext::ROW,
-        /// Positions as raw 32-bit floats.
         /// One NumPy array.
         Npy => crate::npy::ROW,
         /// Point clouds of the Point Cloud Library.
         Pcd => crate::pcd::ROW,
         /// OpenVDB with grids of points.
         VdbPoints => crate::vdb::POINTS,
+        /// glTF with points, binary or as text.
+        GltfPoints => crate::gltf::POINTS,
         /// Named NumPy arrays in a ZIP archive.
         Npz => crate::npy::ARCHIVE_ROW,
         /// Krakatoa's particles: records with named channels, compressed.

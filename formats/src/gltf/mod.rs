@@ -1,4 +1,4 @@
-//! glTF 2.0: writes meshes as `.glb`, or as `.gltf` with an embedded buffer; reads meshes.
+//! glTF 2.0: writes meshes as `.glb`, or as `.gltf` with an embedded buffer; reads meshes and points.
 //!
 //! ```text
 //!   .glb    header │ JSON chunk, padded with spaces │ BIN chunk: positions, normals, attributes, indices
@@ -14,6 +14,7 @@
 //! The Khronos 3D Formats Working Group. glTF 2.0 Specification. 2021
 
 mod frame_file;
+mod points;
 mod read;
 mod sequence;
 mod write;
@@ -34,6 +35,7 @@ pub(crate) use frame_file::{
     ACCELERATION, COLOR, NORMAL, POSITION, SequencePlacement, SharedAttribute, TEXTURE, VELOCITY, flipped,
     shared_attributes,
 };
+pub(crate) use points::{POINTS, declares_points};
 pub use read::{ExternalFile, external_files, read_mesh, read_mesh_with_external};
 pub use sequence::{SEQUENCE_FRAMES, SequenceFrame, SequenceInfo, read_sequence_info, write_sequence};
 pub(crate) use write::{ACCELERATION_NAME, COLOR_NAME, PlacedMesh, PlacedSeams};

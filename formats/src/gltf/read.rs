@@ -65,7 +65,7 @@ fn read(bytes: &[u8], limits: &Limits, read_external: Option<&ReadExternal>) -> 
 /// A document and its buffers.
 pub(super) struct OpenDocument {
     pub(super) document: Document,
-    transforms: NodeTransforms,
+    pub(super) transforms: NodeTransforms,
     pub(super) buffers: Buffers,
     /// Remaining memory for the content, in bytes.
     pub(super) budget: u64,
@@ -155,7 +155,7 @@ struct ReadNode {
 }
 
 /// Every use of a mesh in the scene, with its world transform.
-fn placed_meshes<'a>(
+pub(super) fn placed_meshes<'a>(
     document: &'a Document,
     transforms: &NodeTransforms,
 ) -> Result<Vec<(::gltf::Mesh<'a>, Matrix)>> {
@@ -266,11 +266,7 @@ impl Collector {
     /// Subtracts the memory for a primitive from the budget, before the caller allocates it.
     fn spend(&mut self, vertex_count: usize, index_count: usize) -> Result<()> {
         let cost = (vertex_count as u64).checked_mul(36).zip((index_count as u64).checked_mul(12));
-        let cost = cost.and_then(|(vertices, indices)| vertices.checked_add(indices));
-        let left = cost.and_then(|cost| self.budget.checked_sub(cost));
-        let too_large = || Error::too_large(FORMAT, "instances of meshes take more memory than the limit");
-        self.budget = left.ok_or_else(too_large)?;
-        Ok(())
+        spend(&mut self.budget, cost.and_then(|(vertices, indices)| vertices.checked_add(indices)))
     }
 
     fn finish(mut self) -> MeshData {
@@ -279,6 +275,14 @@ impl Collector {
         }
         self.mesh
     }
+}
+
+/// Subtracts bytes from a budget; `None` is more than all.
+pub(super) fn spend(budget: &mut u64, bytes: Option<u64>) -> Result<()> {
+    let left = bytes.and_then(|bytes| budget.checked_sub(bytes));
+    let too_large = || Error::too_large(FORMAT, "instances of meshes take more memory than the limit");
+    *budget = left.ok_or_else(too_large)?;
+    Ok(())
 }
 
 fn triangles(indices: &[u32], mode: Mode) -> Vec<[u32; 3]> {
@@ -315,16 +319,7 @@ impl Buffers {
                 accessor.dimensions()
             )));
         }
-        let scale = match accessor.data_type() {
-            // `normalized` has no meaning for floats, but some exporters set it.
-            DataType::F32 => None,
-            _ if !accessor.normalized() => None,
-            DataType::I8 => Some(f64::from(i8::MAX)),
-            DataType::U8 => Some(f64::from(u8::MAX)),
-            DataType::I16 => Some(f64::from(i16::MAX)),
-            DataType::U16 => Some(f64::from(u16::MAX)),
-            DataType::U32 => Some(f64::from(u32::MAX)),
-        };
+        let scale = scale_of(accessor);
         match accessor.data_type() {
             DataType::I8 => self.reals::<i8>(accessor, scale),
             DataType::U8 => self.reals::<u8>(accessor, scale),
@@ -442,6 +437,20 @@ impl Buffers {
             (Some(bytes), Some(needed)) if needed <= bytes.len() => Ok((bytes, stride)),
             _ => Err(beyond(count)),
         }
+    }
+}
+
+/// The greatest number of an accessor of normalized integers; `None` for others.
+pub(super) fn scale_of(accessor: &Accessor) -> Option<f64> {
+    match accessor.data_type() {
+        // `normalized` has no meaning for floats, but some exporters set it.
+        DataType::F32 => None,
+        _ if !accessor.normalized() => None,
+        DataType::I8 => Some(f64::from(i8::MAX)),
+        DataType::U8 => Some(f64::from(u8::MAX)),
+        DataType::I16 => Some(f64::from(i16::MAX)),
+        DataType::U16 => Some(f64::from(u16::MAX)),
+        DataType::U32 => Some(f64::from(u32::MAX)),
     }
 }
 
