@@ -19,6 +19,7 @@ mod mesh_write; // .glb, .gltf, .obj and .ply
 mod npy; // NumPy arrays
 mod obj_points; // OBJ files without faces
 mod obstacle; // obstacles in all supported formats
+mod odd; // files of one kind each that were once read wrongly
 mod particle_write; // particles as .ply and .vtp
 mod pcd; // PCD
 mod ply; // all dialects of PLY

@@ -1,0 +1,128 @@
+//! Files of one kind each, which imitate files of other programs that were once read wrongly. All are a block of
+//! particles, or have none. They are in `corpus/odd`.
+
+use std::path::Path;
+
+use meniscus_formats::compression::decompressed_so_far;
+use meniscus_formats::steps::{find_steps, step_of_compressed};
+use meniscus_formats::{
+    AttributeRole, Format, Limits, ParticleFrame, ProbedKind, Result, Values, looks_like_mesh,
+    looks_like_particles, read_particles,
+};
+
+fn file(name: &str) -> Vec<u8> {
+    std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus/odd").join(name)).expect(name)
+}
+
+fn read(name: &str) -> Result<ParticleFrame> {
+    read_particles(&file(name), name, &Limits::default())
+}
+
+#[test]
+fn odd_files_are_read_right_or_refused() {
+    // The number of particles and a note, or words of the error.
+    let table: [(&str, std::result::Result<(usize, &str), &str>); 13] = [
+        ("mtlx.usda", Ok((200, "left out layers that are not USD: ./mat.mtlx"))),
+        ("empty.usda", Err("no prims of the type Points or PointInstancer")),
+        ("widths_constant.usda", Ok((300, "the radius is half of it"))),
+        ("openpmd_mesh_only.h5", Err("expected a group with a data set `pos`")),
+        ("maxshape_wrong.h5", Err("the index of its chunks is for a larger maximal shape")),
+        // The first row is the count of those below.
+        ("points.off", Ok((80, ""))),
+        ("count_row_of_three.txt", Ok((960, ""))),
+        ("atoms.xsf", Err("--columns")),
+        ("type_first_nohead.txt", Err("--columns")),
+        ("hash_two_coordinates.csv", Err("--columns")),
+        ("hash_time.csv", Err("--columns")),
+        ("plot3d_binary.xyz", Err("not a supported particle format")),
+        ("points.glb", Ok((960, ""))),
+    ];
+    for (name, expected) in table {
+        match (read(name), expected) {
+            (Ok(frame), Ok((count, note))) => {
+                assert_eq!(frame.positions.len(), count, "{name}");
+                let has_note = frame.notes.iter().any(|found| found.contains(note));
+                assert!(has_note || note.is_empty(), "{name}: {:?}", frame.notes);
+            }
+            (Err(error), Err(words)) => assert!(error.to_string().contains(words), "{name}: {error}"),
+            (found, _) => panic!("{name}: {found:?}"),
+        }
+    }
+}
+
+#[test]
+fn constant_width_is_a_radius_of_all_particles() {
+    let frame = read("widths_constant.usda").expect("particles");
+    assert_eq!(frame.attributes[0].role, Some(AttributeRole::Radius));
+    assert_eq!(frame.attributes[0].values, Values::F32(vec![0.025; frame.positions.len()]));
+}
+
+#[test]
+fn steps_of_a_stopped_writer_are_frames() {
+    let (bytes, kind, limits) =
+        (file("no_end.dump.gz"), ProbedKind::Format(Format::LammpsDump), Limits::default());
+    let (content, _) = decompressed_so_far(&bytes, &limits).expect("five steps");
+    let steps = find_steps(kind, &*content, &limits).expect("five steps");
+    let has_note = steps.iter().map(|step| {
+        let step = step_of_compressed(kind, &bytes, step, &limits).expect("a step").expect("in the file");
+        let frame = read_particles(&step, "no_end.dump.gz", &limits).expect("a frame");
+        assert_eq!(frame.positions.len(), 960);
+        frame.notes.iter().any(|note| note.contains("later steps are missing"))
+    });
+    assert_eq!(has_note.collect::<Vec<_>>(), [false, false, false, false, true]);
+}
+
+#[test]
+fn points_of_gltf_are_no_mesh() {
+    let bytes = file("points.glb");
+    assert!(looks_like_particles(&bytes, "a.glb") && !looks_like_mesh(&bytes, "a.glb"));
+    // The same buffer as triangles: the text has the same length.
+    let at = bytes.windows(9).position(|word| word == b"\"mode\": 0").expect("a mode");
+    let mut triangles = bytes;
+    triangles[at + 8] = b'4';
+    assert!(!looks_like_particles(&triangles, "a.glb") && looks_like_mesh(&triangles, "a.glb"));
+    let error = read_particles(&triangles, "a.glb", &Limits::default()).expect_err("a mesh").to_string();
+    assert!(error.contains("this is a mesh, not particles"), "{error}");
+}
+
+#[test]
+fn points_of_gltf_have_attributes_and_are_placed() {
+    let text = r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],
+        "nodes":[{"mesh":0,"translation":[1,0,0],"scale":[2,2,2]}],
+        "meshes":[{"primitives":[{"attributes":{"POSITION":0,"_VELOCITY":0,"COLOR_0":1},"indices":2,"mode" :
+        0}]}],
+        "accessors":[{"bufferView":0,"componentType":5126,"count":2,"type":"VEC3"},
+        {"bufferView":1,"componentType":5121,"normalized":true,"count":2,"type":"VEC4"},
+        {"bufferView":2,"componentType":5121,"count":3,"type":"SCALAR"}],
+        "bufferViews":[{"buffer":0,"byteLength":24},{"buffer":0,"byteOffset":24,"byteLength":8},
+        {"buffer":0,"byteOffset":32,"byteLength":3}],
+        "buffers":[{"byteLength":35,"uri":"data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAEAAAEBA/wAA/wD/AP8BAAE="}]}"#;
+    let frame = read_particles(text.as_bytes(), "a.gltf", &Limits::default()).expect("points");
+    let [zero, one] = [[1.0, 0.0, 0.0], [3.0, 4.0, 6.0]];
+    assert_eq!(frame.positions, meniscus_formats::FilePositions::F64(vec![one, zero, one]));
+    let of = |role| frame.attributes.iter().find(|found| found.role == Some(role)).map(|found| &found.values);
+    let velocity = [2.0, 4.0, 6.0, 0.0, 0.0, 0.0, 2.0, 4.0, 6.0];
+    assert_eq!(of(AttributeRole::Velocity), Some(&Values::F32(velocity.to_vec())));
+    let color = [0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0];
+    assert_eq!(of(AttributeRole::Color), Some(&Values::F64(color.to_vec())));
+    // Points beside triangles are no particles.
+    let mixed = text.replace("0}]}],", "0},{\"attributes\":{\"POSITION\":0}}]}],");
+    assert!(looks_like_mesh(mixed.as_bytes(), "a.gltf") && !looks_like_particles(mixed.as_bytes(), "a.gltf"));
+    // An index beyond the vertices.
+    let wrong = text.replace("/wAA/wD/AP8BAAE=", "/wAA/wD/AP8BAAI=");
+    let error =
+        read_particles(wrong.as_bytes(), "a.gltf", &Limits::default()).expect_err("an index").to_string();
+    assert!(error.contains("an index beyond the vertices"), "{error}");
+}
+
+#[test]
+fn damaged_points_of_gltf_do_not_panic() {
+    let bytes = file("points.glb");
+    for at in 0..500 {
+        for value in [0, b'0', b'9', b'-', b'}', b'"', 255] {
+            let mut damaged = bytes.clone();
+            damaged[at] = value;
+            let _ = read_particles(&damaged, "a.glb", &Limits::default());
+        }
+    }
+}
