@@ -491,3 +491,29 @@ impl MapSpacing for Vec<[f64; 3]> {
         self.into_iter().map(|position| position.map(|x| x * factor)).collect()
     }
 }
+
+#[test]
+fn folder_to_watch_is_no_pattern_of_files() {
+    let folder = folder();
+    let path = folder.path();
+    fs::create_dir(path.join("in")).expect("made");
+    for (input, words) in
+        [("in/*.ply", "use in --pattern '*.ply'"), ("dam.####.bgeo", "use . --pattern 'dam.*.bgeo'")]
+    {
+        let result = meniscus(path, &["watch", input, "--out", "o", "--once"]);
+        assert!(result.status == 2 && result.err.contains(words), "{}", result.err);
+    }
+}
+
+#[test]
+fn new_configuration_is_valid_before_anything_is_recorded() {
+    let folder = folder();
+    let path = folder.path();
+    fs::create_dir(path.join("in")).expect("made");
+    fs::write(path.join("m.toml"), "[[watch]]\ninput = \"in\"\noutput = \"out\"\n").expect("written");
+    let result = meniscus(path, &["status", "--config", "m.toml"]);
+    assert_eq!(result.status, 0, "{}", result.err);
+    assert!(result.err.contains("m.toml: valid; nothing is recorded yet in "), "{}", result.err);
+    let result = meniscus(path, &["status", "--out", "out"]);
+    assert!(result.status != 0 && result.err.contains("nothing is recorded here"), "{}", result.err);
+}

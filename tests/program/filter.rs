@@ -222,3 +222,22 @@ fn file_in_batches_and_tiles_gives_the_surface_of_the_chosen_particles() {
     let none = convert("mixed.ply", "none", &["--where", "phase == 7", "--spacing", "0.1"]);
     assert!(none.status == 0 && none.err.contains("none of the 16224 particles meets"), "{}", none.err);
 }
+
+/// Solvers put inactive particles at one place: a warning names it, and a condition on positions leaves them out.
+#[test]
+fn particles_at_one_position_are_named_and_left_out() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    for parked in [[0.0; 3], [-1e4, 0.5, 0.1]] {
+        let positions = block(8, 0.05).into_iter().chain(std::iter::repeat_n(parked, 60));
+        write_ply(&path.join("f.ply"), &positions.collect::<Vec<_>>());
+        let convert = ["convert", "f.ply", "-o", "f.obj", "--spacing", "0.1"];
+        let result = meniscus(path, &convert);
+        let words = "60 of 572 particles are at ";
+        let found = result.err.split(words).nth(1).unwrap_or_else(|| panic!("{}", result.err));
+        let condition = found.split('\'').nth(1).unwrap_or_else(|| panic!("{found}"));
+        let result = meniscus(path, &[&convert[..], &["--where", condition]].concat());
+        assert!(result.status == 0 && result.out.contains("512 particles"), "{condition}: {}", result.out);
+        assert!(!result.err.contains("inactive"), "{}", result.err);
+    }
+}

@@ -485,3 +485,38 @@ fn one_of_two_files_for_one_result_is_converted() {
         assert!(one == two && two == three, "{name}");
     }
 }
+
+#[test]
+fn pattern_names_the_results_of_a_sequence() {
+    let folder = folder_with(&["dam.7.ply", "dam.12.ply"]);
+    let path = folder.path();
+    for (out, more, expected) in [
+        ("surf/water.####.obj", &[][..], &["water.0007.obj", "water.0012.obj"][..]),
+        ("surf/w_{}.obj", &["--format", "obj,ply"], &["w_12.obj", "w_12.ply", "w_7.obj", "w_7.ply"]),
+        ("surf/w{:03}", &["--format", "stl"], &["w007.stl", "w012.stl"]),
+    ] {
+        let result = convert(path, &[&["in", "--out", out], more].concat());
+        assert_eq!((result.status, &*result.err), (0, ""), "{out}: {}", result.out);
+        let mut names = names_in(&path.join("surf"));
+        names.retain(|name| !name.starts_with('.'));
+        assert_eq!(names, expected, "{out}");
+        // The folder has records.
+        let again = convert(path, &[&["in", "--out", out, "--skip-done"], more].concat());
+        assert!(again.status == 0 && again.out.contains("2 done already"), "{out}: {}", again.out);
+        fs::remove_dir_all(path.join("surf")).expect("removed");
+    }
+    fs::copy(path.join("in/dam.7.ply"), path.join("in/other.7.ply")).expect("copied");
+    fs::copy(path.join("in/dam.7.ply"), path.join("still.ply")).expect("copied");
+    for (inputs, out, words) in [
+        (&["in"][..], "w.####.obj", "two frames have the number 7"),
+        (&["still.ply"], "w.####.obj", "the frame has no number for w.####.obj"),
+        (&["in/dam.7.ply"], "w.####.fbx", ".fbx is not an output format"),
+        (&["in/dam.7.ply"], "w.####.png", "use `meniscus render`"),
+    ] {
+        let result = convert(path, &[inputs, &["--out", out]].concat());
+        assert!(result.status != 0 && result.err.contains(words), "{out}: {}", result.err);
+    }
+    let result = meniscus(path, &["convert", "in/dam.7.ply", "out.obj"]);
+    assert!(result.status == 2 && result.err.contains("as in --out out.obj"), "{}", result.err);
+    assert!(!path.join("out.obj").exists());
+}
