@@ -502,14 +502,14 @@ fn pattern_names_the_results_of_a_sequence() {
         assert_eq!(names, expected, "{out}");
         // The folder has records.
         let again = convert(path, &[&["in", "--out", out, "--skip-done"], more].concat());
-        assert!(again.status == 0 && again.out.contains("2 done already"), "{out}: {}", again.out);
+        assert!(again.status == 0 && again.out.matches("done already").count() == 2, "{out}: {}", again.out);
         fs::remove_dir_all(path.join("surf")).expect("removed");
     }
     fs::copy(path.join("in/dam.7.ply"), path.join("in/other.7.ply")).expect("copied");
     fs::copy(path.join("in/dam.7.ply"), path.join("still.ply")).expect("copied");
     for (inputs, out, words) in [
         (&["in"][..], "w.####.obj", "two frames have the number 7"),
-        (&["still.ply"], "w.####.obj", "the frame has no number for w.####.obj"),
+        (&["still.ply"], "w.####.obj", "the frame has no number for w.####"),
         (&["in/dam.7.ply"], "w.####.fbx", ".fbx is not an output format"),
         (&["in/dam.7.ply"], "w.####.png", "use `meniscus render`"),
     ] {

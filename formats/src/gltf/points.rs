@@ -14,11 +14,9 @@ use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
 use crate::number::{gathered, positions, wide};
 use crate::row::{FormatRow, ParticleReader};
 
-/// The row of files with points. Their signature is that of meshes: [`declares_points`] identifies them.
-pub(crate) static POINTS: FormatRow = FormatRow {
-    particles: Some(ParticleReader::needs_reading(read)),
-    ..FormatRow::new("glTF points", &["glb", "gltf"])
-};
+/// The row of files with points. Their signature and their names are those of meshes: [`declares_points`] identifies them.
+pub(crate) static POINTS: FormatRow =
+    FormatRow { particles: Some(ParticleReader::needs_reading(read)), ..FormatRow::new("glTF points", &[]) };
 
 /// Whether all primitives of the document are points, which have the mode 0, judged by the first bytes of the file. Other
 /// documents are meshes.

@@ -9,7 +9,7 @@ use crate::surface::attributes::ComputedAttribute;
 use crate::surface::options::{
     Anisotropy, AttributeSelection, OptionName, ReadOptions, Settings, SpacingOptions,
 };
-use crate::surface::particles::{Attribute, AttributeValues, Role, find_attribute, ids_of};
+use crate::surface::particles::{Attribute, AttributeValues, Role, coordinates, find_attribute, ids_of};
 
 use crate::pipeline::warning::{InputWarning, Warning};
 
@@ -195,9 +195,10 @@ impl AttributeRequest {
             return Ok((Vec::new(), Vec::new()));
         }
         let all: Vec<Attribute> = headers.into_iter().map(attribute).collect();
+        let coordinates = coordinates(&all);
         let for_filter = match &self.reading.filter {
             Some(filter) => filter
-                .needed(&all)
+                .needed(&[&all[..], &coordinates].concat())
                 .map_err(|why| format!("{} \"{filter}\": {why}", spelled(OptionName::new("where"))))?,
             None => Vec::new(),
         };
