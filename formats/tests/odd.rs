@@ -21,7 +21,8 @@ fn read(name: &str) -> Result<ParticleFrame> {
 #[test]
 fn odd_files_are_read_right_or_refused() {
     // The number of particles and a note, or words of the error.
-    let table: [(&str, std::result::Result<(usize, &str), &str>); 13] = [
+    type Expected = std::result::Result<(usize, &'static str), &'static str>;
+    let table: [(&str, Expected); 13] = [
         ("mtlx.usda", Ok((200, "left out layers that are not USD: ./mat.mtlx"))),
         ("empty.usda", Err("no prims of the type Points or PointInstancer")),
         ("widths_constant.usda", Ok((300, "the radius is half of it"))),

@@ -24,7 +24,7 @@ use meniscus_formats::{
     ContainerFile, Format, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind,
     ReadAt, Result, Sample, Values, abc, bgeo, completeness, compression, container, csv, gltf, hdf5,
     houdini, is_complete, json, lammps, looks_like_particles, npy, obj, pcd, ply, png, probe, prt, read_mesh,
-    read_obstacle, read_particles, read_provenance, stl, usda, usdc, vdb, vtk, xdmf, xyz, xyz_ext,
+    read_obstacle, read_particles, read_provenance, stl, usda, usdc, vdb, vtk, xdmf, xyz_ext,
 };
 use twox_hash::XxHash3_64;
 
@@ -60,7 +60,6 @@ pub(crate) const TARGETS: &[Target] = &[
     plain("houdini_text", |bytes| checked(houdini::read_text(bytes, &limits()))),
     compressed("houdini_container", |bytes| checked(houdini::read_container(bytes, &limits()))),
     plain("delimited", |bytes| checked(csv::read(bytes, &limits()))),
-    plain("xyz", |bytes| checked(xyz::read(bytes, &limits()))),
     plain("npy", |bytes| checked(npy::read(bytes, &limits()))),
     compressed("npz", |bytes| checked(npy::read_archive(bytes, &limits()))),
     compressed("prt", |bytes| checked(prt::read(bytes, &limits()))),
