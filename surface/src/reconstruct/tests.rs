@@ -235,7 +235,7 @@ fn condition_gives_the_surface_of_the_particles_that_meet_it() {
     assert_eq!(resolved("phase > 1"), Err(none.to_owned()));
     assert_eq!(error(&particles, &[of_all], options("phase > 1")).to_string(), none);
     let missing = error(&particles, &[], options("mk == 1")).to_string();
-    assert_eq!(missing, "`mk == 1`: the particles have no attribute `mk`; available: none");
+    assert_eq!(missing, "`mk == 1`: the particles have no attribute `mk`; available: x, y, z");
 }
 
 /// A random generator that favours extreme values.
