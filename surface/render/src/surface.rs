@@ -122,16 +122,17 @@ impl<'a> RaySurface<'a> {
             if !crossed.cells.contains(offset_in_leaf(local)) {
                 continue;
             }
-            let along = Cubic::along(&self.values_around(crossed, local), ray, cell, span);
+            let around = self.values_around(crossed, local);
+            let along = Cubic::along(&around, ray, cell, span);
             let entry = SurfaceSide::of(along.values[0]);
-            let is_front = if *side == SurfaceSide::Unknown {
-                entry == SurfaceSide::Outside
-            } else {
-                *side == SurfaceSide::Outside
-            };
-            // Rounding may hide a crossing on the common face of two cells: then the sides differ there.
-            let root =
-                if *side != SurfaceSide::Unknown && *side != entry { Some(0.0) } else { along.first_root() };
+            if *side == SurfaceSide::Unknown {
+                // The ray comes from cells whose corners are all on one side, where the spline may have crossed 0.
+                let at = (ray.at(span[0]) - cell.as_dvec3()).as_vec3();
+                *side = SurfaceSide::of(trilinear(CORNERS.map(|corner| around[corner]), at));
+            }
+            let is_front = *side == SurfaceSide::Outside;
+            // A crossing before the cell, or on its face, is hidden: then the sides differ.
+            let root = if *side == entry { along.first_root() } else { Some(0.0) };
             if let Some(root) = root {
                 let t = span[0] + (span[1] - span[0]) * f64::from(root);
                 return Some(Hit { t, is_front, leaf, cell: local });
@@ -358,6 +359,9 @@ fn trilinear(corners: [f32; 8], at: Vec3) -> f32 {
     mix(mix(a, b, at.y), mix(c, d, at.y), at.x)
 }
 
+/// The corners of the middle cell among 4 × 4 × 4 values: corner x, y, z at index 4x + 2y + z.
+const CORNERS: [usize; 8] = [21, 22, 25, 26, 37, 38, 41, 42];
+
 /// φ at 4 × 4 × 4 voxels around a point in the middle cell.
 pub(super) struct Stencil {
     values: [f32; 64],
@@ -575,6 +579,22 @@ mod tests {
                 assert!(nearest > f64::from(radius) - 0.02, "{ray:?} passes at {nearest}");
             }
         }
+    }
+
+    /// The spline of a small drop leaves the cells with corners on both sides, so a ray may enter them inside.
+    #[test]
+    fn rays_hit_a_small_drop_from_outside() {
+        let (center, radius) = (Vec3::new(0.4, 0.1, 0.3), 1.9);
+        let band = band(16, |at| at.distance(center) - radius);
+        let surface = RaySurface::new(&band, None);
+        let mut hit_count = 0;
+        for ray in rays(200_000) {
+            let Some(hit) = surface.intersect(&ray) else { continue };
+            let distance = ray.at(hit.t).distance(center.as_dvec3());
+            assert!(hit.is_front && (distance - f64::from(radius)).abs() < 0.1, "{distance} {hit:?}");
+            hit_count += 1;
+        }
+        assert!(hit_count > 1000, "{hit_count}");
     }
 
     #[test]
