@@ -368,10 +368,12 @@ fn is_for_this_machine(request: &Request) -> bool {
     host.is_some_and(|host| is_no_domain(&host)) && request.uri().authority().is_none_or(is_no_domain)
 }
 
+/// Whether an authority is an address or `localhost`, without a user before it.
 fn is_no_domain(authority: &Authority) -> bool {
     let host = authority.host();
     let address = host.trim_start_matches('[').trim_end_matches(']');
-    host.eq_ignore_ascii_case("localhost") || address.parse::<IpAddr>().is_ok()
+    let is_local = host.eq_ignore_ascii_case("localhost") || address.parse::<IpAddr>().is_ok();
+    is_local && !authority.as_str().contains('@')
 }
 
 #[cfg(test)]
@@ -422,9 +424,14 @@ mod tests {
         for host in ["localhost", "LOCALHOST:7700", "127.0.0.1:1", "[::1]:7700", "192.168.1.7:7700"] {
             assert!(is_accepted("/", &[host]), "{host}");
         }
-        for host in
-            ["evil.example", "localhost.evil.example", "127.0.0.1.nip.io", "localhost@evil.example", ""]
-        {
+        for host in [
+            "evil.example",
+            "localhost.evil.example",
+            "127.0.0.1.nip.io",
+            "localhost@evil.example",
+            "a:b@127.0.0.1",
+            "",
+        ] {
             assert!(!is_accepted("/", &[host]), "{host}");
         }
         assert!(!is_accepted("/", &[]));
