@@ -70,10 +70,13 @@ impl Destination {
             } else {
                 Destination::stdout(&out, format, console)?
             }
-        } else if let Some(pattern) = name_pattern(&out) {
-            Destination::pattern(out, pattern, args.formats.format.as_deref())?
         } else if let Some(extension) = file_extension(&out) {
-            Destination::file(out, &extension, args.formats.format.as_deref())?
+            let name = out.file_name().and_then(OsStr::to_str).unwrap_or_default();
+            let of_name = match NumberPattern::find(name) {
+                Some(_) => Destination::pattern,
+                None => Destination::file,
+            };
+            of_name(out, &extension, args.formats.format.as_deref())?
         } else {
             refuse_other_extension(&out)?;
             (Destination::Folder { pattern: None }, out, args.particles_only.then_some(OutputFormat::Ply))
@@ -109,26 +112,18 @@ impl Destination {
         matches!(self, Destination::Folder { .. })
     }
 
-    /// Files in the folder of `out`, with names of this pattern, which has an extension unless formats are given.
-    fn pattern(out: PathBuf, pattern: String, formats: Option<&[OutputFormat]>) -> Result<OutputTarget> {
-        let folder = folder_of(&out).to_owned();
-        let Some(extension) = file_extension(&out) else {
-            if formats.is_none() {
-                refuse_other_extension(&out)?;
-            }
-            return Ok((Destination::Folder { pattern: Some(pattern) }, folder, None));
-        };
-        let stem = pattern[..pattern.len() - extension.len() - 1].to_owned();
-        let format = OutputFormat::from_extension(&extension);
+    /// Files in the folder of `out`, whose name is a pattern with this extension.
+    fn pattern(out: PathBuf, extension: &str, formats: Option<&[OutputFormat]>) -> Result<OutputTarget> {
+        let format = OutputFormat::from_extension(extension);
         if formats.is_some_and(|formats| format.is_none_or(|format| !formats.contains(&format))) {
-            return Err(contradicts_format(&out, &extension));
+            return Err(contradicts_format(&out, extension));
         }
-        match Destination::file(out, &extension, None)? {
-            (Destination::File { .. }, folder, format) => {
-                Ok((Destination::Folder { pattern: Some(stem) }, folder, format))
+        Ok(match Destination::file(out, extension, None)? {
+            (Destination::File { stem, .. }, folder, format) => {
+                (Destination::Folder { pattern: Some(stem) }, folder, format)
             }
-            other => Ok(other),
-        }
+            other => other,
+        })
     }
 
     fn file(out: PathBuf, extension: &str, formats: Option<&[OutputFormat]>) -> Result<OutputTarget> {
@@ -188,12 +183,6 @@ impl Destination {
             .context("cannot write to the standard output")?;
         Ok(outcome)
     }
-}
-
-/// The name in a path, if it has a placeholder for a number.
-fn name_pattern(out: &Path) -> Option<String> {
-    let name = out.file_name()?.to_str().filter(|_| !is_existing_or_named_folder(out))?;
-    NumberPattern::find(name).map(|_| name.to_owned())
 }
 
 /// Sets the output names of all frames: the pattern with their numbers.

@@ -467,6 +467,10 @@ fn axis_may_be_upper_case_and_units_are_written() {
     assert!(text.contains("def Xform \"root\"\n{\n    def Mesh \"surface\"\n"));
     let result = convert(&["--format", "obj", "--meters-per-unit", "0.01"]);
     assert!(result.status == 0 && result.err.contains("--meters-per-unit"), "{}", result.err);
+    for (formats, is_warned) in [("glb,usda", true), ("obj,usda", false)] {
+        let result = convert(&["--format", formats, "--meters-per-unit", "0.01"]);
+        assert_eq!(result.err.contains("--meters-per-unit does not scale .glb"), is_warned, "{}", result.err);
+    }
     for wrong in ["0", "-1", "1e10", "inf", "nan", "m"] {
         let result = convert(&["--format", "usda", &format!("--meters-per-unit={wrong}")]);
         assert!(

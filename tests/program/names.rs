@@ -493,7 +493,7 @@ fn pattern_names_the_results_of_a_sequence() {
     for (out, more, expected) in [
         ("surf/water.####.obj", &[][..], &["water.0007.obj", "water.0012.obj"][..]),
         ("surf/w_{}.obj", &["--format", "obj,ply"], &["w_12.obj", "w_12.ply", "w_7.obj", "w_7.ply"]),
-        ("surf/w{:03}", &["--format", "stl"], &["w007.stl", "w012.stl"]),
+        ("surf/w{:03}.stl", &[], &["w007.stl", "w012.stl"]),
     ] {
         let result = convert(path, &[&["in", "--out", out], more].concat());
         assert_eq!((result.status, &*result.err), (0, ""), "{out}: {}", result.out);
@@ -505,6 +505,10 @@ fn pattern_names_the_results_of_a_sequence() {
         assert!(again.status == 0 && again.out.matches("done already").count() == 2, "{out}: {}", again.out);
         fs::remove_dir_all(path.join("surf")).expect("removed");
     }
+    // Without an extension of a result, it is a folder.
+    let result = convert(path, &["in", "--out", "take#2", "--format", "obj"]);
+    assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    assert!(path.join("take#2/dam.12.obj").exists());
     fs::copy(path.join("in/dam.7.ply"), path.join("in/other.7.ply")).expect("copied");
     fs::copy(path.join("in/dam.7.ply"), path.join("still.ply")).expect("copied");
     for (inputs, out, words) in [

@@ -79,24 +79,24 @@ option_set! {
     pub(super) struct ConvertArgs {
         /// Files, folders, globs, or numbered patterns such as dam.####.bgeo, dam.%04d.bgeo, dam.{}.bgeo
         ///
-        /// PLY, BGEO of any version, VTK and lists of such files (.pvd), HDF5, USD, Alembic, OpenVDB points,
-        /// PRT, JSON, NumPy arrays, LAMMPS dumps, XYZ files of atoms
-        /// and delimited text, optionally compressed by gzip, zstd, xz or bzip2. The format is detected from the
-        /// content. Files with several frames give each as a step. Level sets in .vdb are converted to meshes. Frames are in natural order (9 before 10); files whose names differ
-        /// only in the frame number form one sequence, and share their settings. `-` reads one file from the
-        /// standard input.
+        /// PLY, BGEO of any version, VTK and lists of such files (.pvd), HDF5, USD, Alembic, OpenVDB points, PRT,
+        /// JSON, NumPy arrays, LAMMPS dumps, XYZ files of atoms and delimited text, optionally compressed by gzip,
+        /// zstd, xz or bzip2. The format is detected from the content. Files with several frames give each as a
+        /// step. Level sets in .vdb are converted to meshes. Frames are in natural order (9 before 10); files whose
+        /// names differ only in the frame number form one sequence, and share their settings. `-` reads one file
+        /// from the standard input.
         #[arg(required_unless_present = "print_settings", value_name = "INPUT")]
         pub(super) inputs: Vec<PathBuf>,
 
         /// Folder for the results; for a single frame also a file such as dam.glb, or - for the standard
         /// output
         ///
-        /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is created. If PATH is a file,
-        /// its extension selects the format. To create a folder with a name like that of a file, end it with a
-        /// slash: shot.obj/. A name such as surf/water.####.glb or out_{}.ply names the results of a sequence with the
-        /// numbers of its frames; more formats by --format. Files are written under temporary names, and renamed when they are complete.
-        /// Existing files with these names are replaced, except inputs, and .ply, .vtp and .vdb files of
-        /// other programs.
+        /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is created. If PATH is a file, its
+        /// extension selects the format. To create a folder with a name like that of a file, end it with a slash:
+        /// shot.obj/. A name such as surf/water.####.glb or out_{}.ply names the results of a sequence with the
+        /// numbers of its frames; more formats by --format. Files are written under temporary names, and renamed
+        /// when they are complete. Existing files with these names are replaced, except inputs, and .ply, .vtp and
+        /// .vdb files of other programs.
         #[arg(short, long, value_name = "PATH")]
         pub(super) out: Option<PathBuf>,
 

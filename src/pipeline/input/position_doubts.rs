@@ -31,7 +31,7 @@ pub(crate) fn position_doubts(particles: &FrameInput, settings: &Settings) -> Re
     if step > ROUNDING_SHARE_MAX * settings.spacing {
         warnings.push(Warning::Input(InputWarning::RoundedParticles { step, spacing: settings.spacing }));
     }
-    warnings.extend(shared_position(particles)?.map(Warning::Input));
+    warnings.extend(shared_position(particles, &first)?.map(Warning::Input));
     let of_first = box_of_batch(&first);
     if of_first.is_none_or(|bounds| flat_axis(bounds).is_some()) {
         let Some(bounds) = box_of_all_particles(particles)? else {
@@ -48,11 +48,12 @@ pub(crate) fn position_doubts(particles: &FrameInput, settings: &Settings) -> Re
 
 /// The position that most particles of the first or the last batch share, if it is that of many: solvers put inactive
 /// particles there.
-fn shared_position(particles: &FrameInput) -> Result<Option<InputWarning>, Cause> {
+fn shared_position(particles: &FrameInput, first: &Positions<'_>) -> Result<Option<InputWarning>, Cause> {
     let is_many = |count: usize, of: usize| count >= PARKED_MIN && (count as f64) > PARKED_SHARE * of as f64;
     let bits = |position: DVec3| position.to_array().map(f64::to_bits);
-    for batch in [0, particles.batch_count() - 1] {
-        let positions = particles.batch(batch)?;
+    let last = particles.batch_count() - 1;
+    let last = (last > 0).then(|| particles.batch(last)).transpose()?;
+    for positions in [Some(first), last.as_ref()].into_iter().flatten() {
         let mut counts: HashMap<[u64; 3], usize> = HashMap::new();
         for index in 0..positions.len() {
             *counts.entry(bits(positions.position(index))).or_default() += 1;
