@@ -29,6 +29,7 @@
 //! dumps see [`crate::lammps`].
 
 mod layout;
+mod naming;
 mod raw_bytes;
 mod rows;
 
@@ -44,7 +45,8 @@ use crate::row::{FormatRow, ParticleReader};
 use crate::{
     AttributeRole, Error, FileAttribute, FilePositions, Limits, ParticleFrame, Position, Result, Values,
 };
-use layout::{Naming, TableLayout};
+use layout::TableLayout;
+use naming::Naming;
 use rows::{Column, ColumnValues, Table, quoted_excerpt};
 
 /// The format's name in errors.
