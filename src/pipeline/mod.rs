@@ -73,6 +73,7 @@ pub use files::host::host_name;
 pub use files::identity::{FileId, are_same_file, canonical_path, entry_key, has_other_names};
 pub(crate) use files::identity::{device_and_inode, is_still_at, real_path};
 pub use files::input_file::InputFile;
+pub use files::named_files::NamedFiles;
 pub(crate) use files::names::text_of_name;
 pub use files::number_pattern::{NumberPattern, files_in, is_absent, is_link_loop, may_be_file};
 pub use files::open::{open_itself, open_own, open_regular, read_regular, read_regular_text};

@@ -19,6 +19,7 @@ pub(crate) fn done_record(input: &Path, stamp: FileStamp) -> Arc<DoneRecord> {
         input: input.to_owned(),
         stamp,
         input_hash: 7,
+        named: None,
         obstacles: String::new(),
         around: Vec::new(),
         obstacle_stamp: None,

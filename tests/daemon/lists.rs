@@ -75,3 +75,32 @@ fn list_beside_its_files_is_skipped() {
     once.assert_status(0);
     assert_eq!(once.converted(), ["d.pvd"]);
 }
+
+/// The list stays as it is, and so does the size of the file.
+#[test]
+fn rewritten_file_of_a_list_is_seen() {
+    for is_alone in [false, true] {
+        let scene = Scene::new();
+        for number in 0..2 {
+            scene.write(&format!("in/d/{number}.vtp"), piece(number));
+        }
+        write_list(&scene, usize::from(!is_alone));
+        let (frame, name) = if is_alone { ("d.pvd", "d.pvd") } else { ("d.pvd/step=0", "step=0") };
+        scene.once(&ARGUMENTS).assert_status(0);
+        // Copied, but not changed.
+        scene.put("in/d/0.vtp", piece(0));
+        let once = scene.once(&ARGUMENTS);
+        assert_eq!((once.converted(), once.found_done()), (vec![], vec![name.to_owned()]));
+        assert_eq!(scene.once(&ARGUMENTS).found_done(), [""; 0]);
+        // While no daemon runs.
+        scene.put("in/d/0.vtp", piece(5));
+        assert_eq!(scene.once(&ARGUMENTS).converted(), [name]);
+        scene.assert_as_converted(&CONVERT);
+        // While a daemon runs.
+        let daemon = scene.watch(&[&ARGUMENTS[..], &["--poll", "200ms"]].concat());
+        scene.put("in/d/0.vtp", piece(6));
+        daemon.await_converted(frame);
+        daemon.finish();
+        scene.assert_as_converted(&CONVERT);
+    }
+}

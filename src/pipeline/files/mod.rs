@@ -7,6 +7,7 @@
 //!   identity      which paths lead to the same file      json         values that JSON cannot represent
 //!   temporary     a file that is not complete yet        host         the name of this machine
 //!   checked_line  lines of JSON with a checksum          atomic_write  writes files atomically
+//!   named_files   the files that a frame was read from besides its own
 //!   sweep         cleans up after killed processes       out_folder   checks the output folder before a run
 //! ```
 
@@ -17,6 +18,7 @@ pub(super) mod host;
 pub(super) mod identity;
 pub(super) mod input_file;
 pub(crate) mod json;
+pub(super) mod named_files;
 pub(super) mod names;
 pub(super) mod number_pattern;
 pub(super) mod open;

@@ -12,16 +12,15 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use crate::pipeline::files::input_file::InputFile;
+use crate::pipeline::files::named_files::{NamedFiles, state_of_files};
+use crate::pipeline::files::open::open_regular;
+use crate::pipeline::files::stamp::FileStamp;
 use meniscus_formats::compression::{decompressed, read_head};
 use meniscus_formats::container::{self, is_container};
 use meniscus_formats::{
     Codec, ContainerFile, Limits, MeshData, Probe, ProbedKind, ReadAt, Result, Sample, probe,
 };
-use twox_hash::xxhash3_128::Hasher;
-
-use crate::pipeline::files::input_file::InputFile;
-use crate::pipeline::files::open::open_regular;
-use crate::pipeline::files::stamp::FileStamp;
 
 /// Enough bytes to recognize the format.
 const HEAD_BYTES: u64 = 8 << 10;
@@ -117,25 +116,29 @@ impl OpenContainer {
 
     /// A hash of the paths and stamps of files that the container names, and the memory for reading them.
     fn state_of(&self, paths: &[String]) -> (u128, u64) {
-        let (mut hasher, mut bytes) = (Hasher::new(), 0u64);
-        for path in paths {
-            let stamp = FileStamp::of_path(&self.folder.join(path)).ok();
-            hasher.write(path.as_bytes());
-            hasher.write(format!("\0{:?}\0", stamp.map(|stamp| stamp.without_status_change())).as_bytes());
-            bytes = bytes.saturating_add(stamp.map_or(0, |stamp| stamp.size));
-        }
-        (hasher.finish_128(), bytes.saturating_mul(PACKED_FACTOR))
+        let stamped = |path| (path, FileStamp::of_path(&self.folder.join(path)).ok());
+        let files: Vec<(&str, Option<FileStamp>)> = paths.iter().map(|path| stamped(&**path)).collect();
+        let sizes = files.iter().map(|(_, stamp)| stamp.map_or(0, |stamp| stamp.size));
+        let bytes = sizes.fold(0, u64::saturating_add);
+        (state_of_files(files.into_iter()), bytes.saturating_mul(PACKED_FACTOR))
     }
 
-    /// The packed bytes of a frame; `None` if one of the files was written, replaced or removed meanwhile.
+    /// The packed bytes of a frame, and the files that it was read from besides this one; `None` if one of the files
+    /// was written, replaced or removed meanwhile.
     ///
     /// # Errors
     /// When the frame cannot be read.
-    pub(super) fn packed(&self, index: usize) -> Result<Option<Vec<u8>>> {
+    pub(super) fn packed(&self, index: usize) -> Result<Option<(Vec<u8>, Option<Arc<NamedFiles>>)>> {
         let packed = self.with(|file| container::packed(self.kind, file, index, &Limits::default()));
-        let is_unchanged = self.is_unchanged()?;
-        self.lock_further().clear();
-        if is_unchanged { packed.map(Some) } else { Ok(None) }
+        if !self.is_unchanged()? {
+            return Ok(None);
+        }
+        let relative =
+            |path: &Path| path.strip_prefix(&self.folder).unwrap_or(path).to_str().map(str::to_owned);
+        let further = self.further_files().into_iter();
+        let named =
+            NamedFiles::new(further.filter_map(|(path, stamp)| Some((relative(&path)?, stamp))).collect());
+        Ok(Some((packed?, named.map(Arc::new))))
     }
 
     /// Whether neither the file nor those that were opened since were written, replaced or removed.

@@ -14,6 +14,7 @@ use super::level_set_file::is_level_set;
 use super::obstacles::ObstacleFiles;
 use super::source::FrameFile;
 use crate::pipeline::error::{Cause, FrameError, Stage};
+use crate::pipeline::files::named_files::NamedFiles;
 use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::records::frame_records::FrameRecords;
 use crate::pipeline::records::record_line::{DoneRecord, OutputFile};
@@ -148,13 +149,15 @@ impl Frame {
 }
 
 /// The state of a file that was read.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct InputState {
     /// The stamp of the file, the same before and after the read.
     pub stamp: FileStamp,
     /// A hash of the file's bytes. It distinguishes files reliably, but is not secure against deliberate
     /// collisions.
     pub hash: u128,
+    /// The files that the frame was read from besides this one, if there are any.
+    pub named: Option<Arc<NamedFiles>>,
 }
 
 /// The outcome of a frame.

@@ -16,7 +16,7 @@ use crate::surface::particles::{OwnedPositions, ParticleCloud, Shapes};
 
 use super::attributes::AttributeRequest;
 use super::filter::{keep_chosen, several_kinds, various_sizes};
-use super::steps::{IndexPolicy, by_lines_of_file, file_of, read_part};
+use super::steps::{IndexPolicy, StampedBytes, by_lines_of_file, file_of, read_part};
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::{InputFile, read_unchanged};
 use crate::pipeline::files::open::{open_regular, read_regular};
@@ -45,12 +45,12 @@ pub fn read_file(path: &Path) -> Result<Vec<u8>, FrameError> {
         return read_regular(path).map_err(|error| fail(error.into()));
     };
     match read.map_err(fail)? {
-        Some((bytes, _)) => Ok(bytes),
+        Some(read) => Ok(read.bytes),
         None => Err(FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Changed }),
     }
 }
 
-/// The bytes of a frame and the stamp of its file; `None` if the file was written, replaced or removed
+/// The bytes of a frame; `None` if the file was written, replaced or removed
 /// meanwhile.
 ///
 /// # Errors
@@ -58,10 +58,10 @@ pub fn read_file(path: &Path) -> Result<Vec<u8>, FrameError> {
 pub(crate) fn read_frame_unchanged(
     path: &Path,
     index_policy: IndexPolicy,
-) -> meniscus_formats::Result<Option<(Vec<u8>, FileStamp)>> {
+) -> meniscus_formats::Result<Option<StampedBytes>> {
     read_part(path, index_policy).unwrap_or_else(|| {
         refuse_large_foreign(path)?;
-        Ok(read_unchanged(path)?)
+        Ok(read_unchanged(path)?.map(|(bytes, stamp)| StampedBytes { bytes, stamp, named: None }))
     })
 }
 
@@ -162,6 +162,6 @@ pub(crate) fn hash_and_stamp(path: &Path, index_policy: IndexPolicy) -> Result<(
         let hash = file.hash()?;
         return if file.is_unchanged()? { Ok((hash, file.stamp())) } else { Err(changed().into()) };
     };
-    let (bytes, stamp) = read?.ok_or_else(changed)?;
+    let StampedBytes { bytes, stamp, .. } = read?.ok_or_else(changed)?;
     Ok((XxHash3_128::oneshot(&bytes), stamp))
 }

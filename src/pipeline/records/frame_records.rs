@@ -233,6 +233,7 @@ impl Frame {
             input: std::path::absolute(&self.input).unwrap_or_else(|_| self.input.clone()),
             stamp: report.input.stamp,
             input_hash: report.input.hash,
+            named: report.input.named.clone(),
             obstacles: report.obstacles.clone(),
             around: report.around.clone(),
             obstacle_stamp: self.obstacle_stamp.clone(),

@@ -35,6 +35,9 @@ pub enum Reason {
     Touched,
     /// It is to be read, and converted if its content has changed: the program that wrote it has closed it.
     Closed,
+    /// It is to be read, and converted if its content has changed: files that it names have other times, sizes or
+    /// inodes.
+    NamedFilesChanged,
     /// It is to be converted: its settings or obstacles changed.
     SettingsChanged,
     /// It is to be converted: an output is missing, or is not the file that was written.
@@ -90,6 +93,7 @@ impl fmt::Display for Reason {
             Reason::InputChanged => "it was written again",
             Reason::Touched => "its time or inode has changed: its content is compared",
             Reason::Closed => "the program that wrote it has closed it: its content is compared",
+            Reason::NamedFilesChanged => "files that it names have changed: its content is compared",
             Reason::SettingsChanged => "its settings or obstacles have changed since it was converted",
             Reason::OutputChanged { output } => {
                 return write!(f, "its output {} is missing or was changed", output.display());

@@ -11,6 +11,7 @@ use super::figures::Figures;
 use super::frame_records::SettingValues;
 use super::reason::Reason;
 use crate::pipeline::files::json::{hex, path, raw, text};
+use crate::pipeline::files::named_files::NamedFiles;
 use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::input::around::RecordedAround;
 use crate::pipeline::input::measured_spacing::MeasuredSpacing;
@@ -57,6 +58,9 @@ pub struct DoneRecord {
     /// The hash of the input's bytes.
     #[serde(with = "hex")]
     pub input_hash: u128,
+    /// The files that it was read from besides its input, if there are any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub named: Option<Arc<NamedFiles>>,
     /// The names and hashes of its obstacle files.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub obstacles: String,

@@ -365,8 +365,8 @@ impl<'env> StageContext<'env> {
         let failed = |cause| FrameError { path: path.to_owned(), during: Stage::Read, cause };
         let read = read_frame_unchanged(path, self.options.index_policy);
         let read = read.map_err(|error| failed(Cause::File(error)))?;
-        let read = read.filter(|(bytes, _)| XxHash3_128::oneshot(bytes) == hash);
-        read.map(|(bytes, _)| bytes).ok_or_else(|| failed(Cause::Changed))
+        let read = read.filter(|read| XxHash3_128::oneshot(&read.bytes) == hash);
+        read.map(|read| read.bytes).ok_or_else(|| failed(Cause::Changed))
     }
 
     /// The particles of another frame, if the hash of its bytes is this one.

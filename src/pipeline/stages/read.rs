@@ -24,7 +24,7 @@ use crate::pipeline::input::obstacles::{FoundObstacles, FrameObstacles};
 use crate::pipeline::input::out_of_reach::out_of_reach;
 use crate::pipeline::input::position_doubts::position_doubts;
 use crate::pipeline::input::reading::{parse_particles, read_frame_unchanged};
-use crate::pipeline::input::steps::{reading_bytes, step_of};
+use crate::pipeline::input::steps::{StampedBytes, reading_bytes, step_of};
 use crate::pipeline::method;
 use crate::pipeline::records::content::irreplaceable_output;
 use crate::pipeline::records::provenance::MadeFrom;
@@ -140,7 +140,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     /// The bytes of a frame that is converted to another particle format.
     fn bytes_of(&self, frame: &Frame) -> Result<ReadResult, Outcome> {
         let (bytes, input) = self.read_whole(frame)?;
-        self.end_if_done(frame, input, "", &[])?;
+        self.end_if_done(frame, &input, "", &[])?;
         let content = ReadContent::Particles(bytes);
         Ok(ReadResult { content, input, noted: InputNotes::default(), around: Vec::new() })
     }
@@ -153,7 +153,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             .map_err(|error| unreadable(frame, error))?;
         let unchanged = read_unchanged(&frame.input).map_err(|error| unreadable(frame, error))?;
         let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
-        let input = InputState { stamp, hash: XxHash3_128::oneshot(&bytes) };
+        let input = InputState { stamp, hash: XxHash3_128::oneshot(&bytes), named: None };
         let given = frame.clone();
         let parsed = self.scheduler.run(order, move || {
             let (read, file) = read_level_set(&given, &bytes, memory_bytes)?;
@@ -161,7 +161,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         });
         let (read, mut file, other_grids) = parsed.map_err(outcome_of)?;
         *frame = read;
-        self.end_if_done(frame, input, "", &[])?;
+        self.end_if_done(frame, &input, "", &[])?;
         let warnings = std::mem::take(&mut file.warnings).into_iter().chain(other_grids).collect();
         let given = FrameInput::LevelSet(Box::new(LevelSetInput::new(file, &frame.job)));
         let noted = InputNotes { warnings, ..InputNotes::default() };
@@ -173,9 +173,9 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     fn read_whole(&self, frame: &Frame) -> Result<(Vec<u8>, InputState), Outcome> {
         let unchanged = read_frame_unchanged(&frame.input, self.shared.options.index_policy);
         let unchanged = unchanged.map_err(|error| unreadable(frame, error))?;
-        let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
+        let StampedBytes { bytes, stamp, named } = unchanged.ok_or(Outcome::Changed)?;
         let hash = XxHash3_128::oneshot(&bytes);
-        Ok((bytes, InputState { stamp, hash }))
+        Ok((bytes, InputState { stamp, hash, named }))
     }
 
     /// Finds the obstacles of a frame of particles and the frames around it, ends it if it is done already, reads
@@ -189,11 +189,11 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let wanted = AttributeRequest::for_frame(frame);
         if let Some(file) = self.worth_streaming(frame).map_err(|error| unreadable(frame, error))? {
             let hash = file.hash().map_err(|error| unreadable(frame, error))?;
-            let input = InputState { stamp: file.stamp(), hash };
+            let input = InputState { stamp: file.stamp(), hash, named: None };
             if !file.is_unchanged().map_err(|error| unreadable(frame, error))? {
                 return Err(Outcome::Changed);
             }
-            self.end_if_done(frame, input, &obstacles.recorded(), &around)?;
+            self.end_if_done(frame, &input, &obstacles.recorded(), &around)?;
             let streamed =
                 FileParticles::open(&frame.input, file).map_err(|error| unreadable(frame, error))?;
             if let Some(particles) = streamed {
@@ -210,17 +210,17 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             }
         }
         let (bytes, input) = self.read_whole(frame)?;
-        self.end_if_done(frame, input, &obstacles.recorded(), &around)?;
-        let (given, others) = (frame.clone(), around.clone());
+        self.end_if_done(frame, &input, &obstacles.recorded(), &around)?;
+        let (given, hash, others) = (frame.clone(), input.hash, around.clone());
         let parse = move || {
             let mut read = parse_particles(&given.input, &bytes, &wanted)?;
             drop(bytes);
             let HistoryNotes { warnings: of_history, mut unread } =
-                shared.follow_back(&mut read.cloud, (&given, input.hash), &others);
+                shared.follow_back(&mut read.cloud, (&given, hash), &others);
             let ParticleCloud { positions, attributes, .. } = &mut read.cloud;
             add_computed(positions, attributes, &given.settings);
             let mut warnings = [read.warnings, left_out_warnings, of_history].concat();
-            let sequence = with_around(&given, input.hash, &others);
+            let sequence = with_around(&given, hash, &others);
             let SeparatedCloud { fluid, spray, lacks_ids, failures } =
                 shared.without_spray(read.cloud, &given.settings, &sequence, 0);
             warnings.extend(lacks_ids.then_some(Warning::Input(InputWarning::SprayWithoutIds)));
@@ -287,7 +287,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     fn end_if_done(
         &self,
         frame: &Frame,
-        input: InputState,
+        input: &InputState,
         obstacles: &str,
         around: &[FoundFrame],
     ) -> Result<(), Outcome> {
@@ -298,7 +298,9 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let made_from =
             MadeFrom { input_hash: input.hash, obstacles, around: &around::recorded(around, beside) };
         match frame.recorded_state(made_from) {
-            Some((state, Some(record))) if state.is_done() => Err(Outcome::AlreadyDone { input, record }),
+            Some((state, Some(record))) if state.is_done() => {
+                Err(Outcome::AlreadyDone { input: input.clone(), record })
+            }
             _ => Ok(()),
         }
     }

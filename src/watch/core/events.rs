@@ -210,6 +210,8 @@ pub(crate) struct Complete {
     pub(crate) proof: Option<Proof>,
     /// A recorded output that has changed.
     pub(crate) changed_output: Option<ChangedOutput>,
+    /// Whether files that it names have changed since it was recorded.
+    pub(crate) has_changed_files: bool,
     pub(crate) contents: FileContents,
     /// Set if the outputs of the frame would replace a file: the reason to refuse the frame.
     pub(crate) conflict: Option<String>,

@@ -489,8 +489,9 @@ impl Core {
 
     /// A file is complete.
     fn on_complete(&mut self, id: &FrameId, complete: Complete) {
-        let Complete { proof, changed_output, contents, conflict } = complete;
+        let Complete { proof, changed_output, has_changed_files, contents, conflict } = complete;
         let reason = self.reason_to_convert(id, changed_output.as_ref().map(|output| &*output.path));
+        let reason = reason.or_else(|| has_changed_files.then_some(Reason::NamedFilesChanged));
         if let Some(frame) = self.frames.get_mut(id) {
             (frame.was_closed, frame.reason) = (false, reason);
         }

@@ -100,6 +100,7 @@ impl Core {
         let record = DoneRecord {
             input: id.path.to_path_buf(),
             stamp: input.stamp,
+            named: input.named,
             obstacle_stamp: self.frames.get(id).and_then(|frame| frame.obstacle_stamp.clone()),
             at_ms: self.now.unix_ms.max(self.record_of(id).map_or(0, RecordedFrame::at_ms)),
             ..record.clone()

@@ -185,6 +185,7 @@ impl Rig {
         InspectionResult::Complete(Complete {
             proof,
             changed_output,
+            has_changed_files: false,
             contents: FileContents::Frame,
             conflict,
         })
@@ -255,7 +256,7 @@ impl Rig {
         let settings = self.core.sequences.get(sequence).settings_id().unwrap_or_default().to_owned();
         let at_ms = self.now.unix_ms;
         let record = DoneRecord { settings, at_ms, ..(*done_record(&id.path, stamp)).clone() };
-        let (input, record) = (InputState { stamp, hash: 7 }, Some(Arc::new(record)));
+        let (input, record) = (InputState { stamp, hash: 7, named: None }, Some(Arc::new(record)));
         self.finish(
             path,
             Outcome::Converted(Box::new(FrameReport { input, record, ..FrameReport::default() })),
@@ -794,6 +795,7 @@ fn waiting_file_that_is_no_frame_is_recorded_as_ignored() {
     let complete = Complete {
         proof: Some(Proof::Format),
         changed_output: None,
+        has_changed_files: false,
         contents: FileContents::NotParticles,
         conflict: None,
     };

@@ -425,7 +425,11 @@ impl Root {
         let Inspect { id, stamp, outputs, extent, record_check, .. } = request;
         let changed_output = record_check.as_ref().and_then(|check| self.changed_output_of(check));
         let has_obstacles = |check: &RecordCheck| has_recorded_obstacles(check, obstacles);
-        let is_as_recorded = changed_output.is_none() && record_check.as_ref().is_some_and(has_obstacles);
+        let names_changed = |check: &RecordCheck| names_changed_files(check, id.file_path());
+        let has_changed_files = record_check.as_ref().is_some_and(names_changed);
+        let is_as_recorded = changed_output.is_none()
+            && !has_changed_files
+            && record_check.as_ref().is_some_and(has_obstacles);
         if is_as_recorded && *extent == InspectionExtent::AllOfJustSeen {
             return InspectionResult::AsRecorded;
         }
@@ -454,6 +458,7 @@ impl Root {
             return InspectionResult::Complete(Complete {
                 proof: None,
                 changed_output,
+                has_changed_files,
                 contents,
                 conflict: None,
             });
@@ -477,7 +482,7 @@ impl Root {
             }
             FileContents::NotParticles | FileContents::Neighbor(_) | FileContents::Unreadable(_) => None,
         };
-        InspectionResult::Complete(Complete { proof, changed_output, contents, conflict })
+        InspectionResult::Complete(Complete { proof, changed_output, has_changed_files, contents, conflict })
     }
 
     /// The first recorded output that has changed.
@@ -515,6 +520,12 @@ fn replacement(output: &Path) -> String {
 
 fn has_recorded_obstacles(check: &RecordCheck, obstacles: Option<&ObstacleStamps>) -> bool {
     !check.checks_obstacles || check.record.obstacle_stamp() == obstacles.map(obstacle_stamp).as_ref()
+}
+
+/// Whether files that a done frame was read from besides its own, `file`, have changed since.
+fn names_changed_files(check: &RecordCheck, file: &Path) -> bool {
+    let done = check.record.if_done();
+    done.and_then(|done| done.named.as_ref()).is_some_and(|named| !named.still_hold(file))
 }
 
 fn contents_of(id: &FrameId, watch: &Watch) -> FileContents {

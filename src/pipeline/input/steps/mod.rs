@@ -32,6 +32,7 @@ use meniscus_formats::{Error, Limits, ReadAt, Result};
 use twox_hash::XxHash3_128;
 
 use crate::pipeline::files::input_file::InputFile;
+use crate::pipeline::files::named_files::NamedFiles;
 use crate::pipeline::files::names::text_of_name;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::stamp::FileStamp;
@@ -254,7 +255,7 @@ pub fn has_container_frames(file: &Path) -> bool {
         && content_of_container(file).is_ok_and(|content| content != ContainerContent::NoParticles)
 }
 
-/// The packed bytes of the only frame of a container, and the stamp of its file; `None` if the file, or one that
+/// The packed bytes of the only frame of a container; `None` if the file, or one that
 /// it names, was written, replaced or removed meanwhile.
 ///
 /// # Errors
@@ -273,8 +274,15 @@ pub(crate) fn read_only_frame(file: &Path, by: IndexPolicy) -> Result<Option<Sta
     read_sample(file, 0, &contents)
 }
 
-/// The bytes of a frame, and the stamp of its file.
-type StampedBytes = (Vec<u8>, FileStamp);
+/// The bytes of a frame.
+#[derive(Debug, PartialEq)]
+pub(crate) struct StampedBytes {
+    pub(crate) bytes: Vec<u8>,
+    /// The stamp of its file.
+    pub(crate) stamp: FileStamp,
+    /// The files that it was read from besides its own, if there are any.
+    pub(crate) named: Option<Arc<NamedFiles>>,
+}
 
 /// The bytes of a frame that is not a whole file, as of [`read_step`] or [`read_only_frame`]; `None` for one that is.
 pub(crate) fn read_part(frame: &Path, by: IndexPolicy) -> Option<Result<Option<StampedBytes>>> {
@@ -288,10 +296,11 @@ pub(crate) fn read_part(frame: &Path, by: IndexPolicy) -> Option<Result<Option<S
 fn read_sample(file: &Path, index: usize, contents: &StepIndex) -> Result<Option<StampedBytes>> {
     let open = OpenContainer::open(file)?.filter(|open| open.stamp() == contents.stamp);
     let Some(open) = open else { return Ok(None) };
-    Ok(open.packed(index)?.map(|bytes| (bytes, contents.stamp)))
+    let packed = open.packed(index)?;
+    Ok(packed.map(|(bytes, named)| StampedBytes { bytes, stamp: contents.stamp, named }))
 }
 
-/// The bytes of a step, and the stamp of its file; `None` if the file was written, replaced or removed
+/// The bytes of a step; `None` if the file was written, replaced or removed
 /// meanwhile.
 ///
 /// # Errors
@@ -331,7 +340,8 @@ pub(crate) fn read_step(file: &Path, step: &str, by: IndexPolicy) -> Result<Opti
     };
     let has_same_bytes =
         || Ok(read(stored.clone())?.is_some_and(|again| XxHash3_128::oneshot(&again) == hash));
-    Ok(input.is_unchanged_or(has_same_bytes)?.then_some((bytes, contents.stamp)))
+    let read = StampedBytes { bytes, stamp: contents.stamp, named: None };
+    Ok(input.is_unchanged_or(has_same_bytes)?.then_some(read))
 }
 
 /// The error of a frame. For a step, its line number counts from the start of the whole file, because that is
@@ -409,7 +419,8 @@ mod tests {
             for (frame, text) in frames.iter().zip(&steps) {
                 let (path, name) = step_of(frame).expect("a step");
                 let read = read_step(path, name, BY).expect("read").expect("unchanged");
-                assert_eq!(read, (text.as_bytes().to_vec(), FileStamp::of_path(&file).expect("there")));
+                assert_eq!(read.bytes, text.as_bytes());
+                assert_eq!(read.stamp, FileStamp::of_path(&file).expect("there"));
                 assert_eq!(size_bytes(frame).expect("there"), text.len() as u64);
                 assert!(reading_bytes(frame, BY) >= text.len() as u64);
             }
@@ -474,7 +485,7 @@ mod tests {
         assert_eq!(names, ["run.pvd/step=0", "run.pvd/step=1", "run.pvd/step=2"]);
         assert_eq!(time_of_frame(&list.join("step=2")), Some(1.0));
         assert_eq!(content_of_container(&list).expect("a list"), ContainerContent::Frames);
-        let read = |step: &str| read_step(&list, step, BY).expect("read").expect("unchanged").0;
+        let read = |step: &str| read_step(&list, step, BY).expect("read").expect("unchanged").bytes;
         let before: Vec<Vec<u8>> = ["0", "1", "2"].map(read).into();
         assert!(before[0] != before[1] && reading_bytes(&list.join("step=0"), BY) > 0);
         let frame =
@@ -503,7 +514,7 @@ mod tests {
         // A single frame is the file itself.
         write_list(folder, &[0.5]);
         assert_eq!(frames_in(&list).expect("a frame"), [&*list]);
-        let (bytes, _) = read_only_frame(&list, BY).expect("read").expect("unchanged");
+        let StampedBytes { bytes, .. } = read_only_frame(&list, BY).expect("read").expect("unchanged");
         assert_eq!(bytes, before[0]);
         assert!(reading_bytes(&list, BY) > bytes.len() as u64 / 2);
     }

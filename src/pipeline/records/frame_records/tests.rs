@@ -32,6 +32,7 @@ fn convert(records: &FrameRecords, name: &str, bytes: &str, voxel_size: &str) {
         input: format!("/in/{name}.ply").into(),
         stamp: FileStamp::default(),
         input_hash: 7,
+        named: None,
         obstacles: String::new(),
         around: Vec::new(),
         obstacle_stamp: None,
