@@ -22,7 +22,7 @@ use quick_xml::events::BytesStart;
 
 use crate::batches;
 use crate::bytes::Endian;
-use crate::container::{ContainerFile, ContainerReader, Sample};
+use crate::container::{ContainerFile, ContainerReader, Sample, further_path};
 use crate::data::{FilePositions, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::hdf5;
@@ -63,8 +63,8 @@ pub fn samples(container: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>
 /// Reads a frame by its index in [`samples`], with the files that it names.
 ///
 /// # Errors
-/// Those of [`samples`] and of HDF5; [`Error::Io`] if a file cannot be opened; [`Error::Unsupported`] for
-/// items that select or compute values, and for grids that are not points.
+/// Those of [`samples`] and of HDF5; [`Error::Truncated`] if a file is missing; [`Error::Unsupported`] for files
+/// outside of the folder, for items that select or compute values, and for grids that are not points.
 pub fn read(container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
     let text = text_of(container)?;
     let frames = frames(&text, limits)?;
@@ -455,7 +455,7 @@ impl ItemReader<'_, '_> {
     }
 
     fn open(&mut self, path: &str) -> Result<Box<dyn batches::ReadAt>> {
-        let file = (self.container.open)(path).map_err(|error| Error::Io(error).in_file(path))?;
+        let file = self.container.open_further(FORMAT, &further_path(FORMAT, "", path)?)?;
         if self.opened.insert(path.to_owned()) {
             self.bytes = self.bytes.saturating_add(file.size_bytes()?);
         }

@@ -214,3 +214,46 @@ fn settings_in_json_are_no_frames() {
     assert!(result.out.contains("skipped settings.json: not a particle file"), "{}", result.out);
     assert_eq!(names_in(&folder.join("out")), ["a.0.obj"]);
 }
+
+/// A file from elsewhere does not make the program open other files.
+#[test]
+fn named_files_are_in_the_folder_of_the_file_that_names_them() {
+    let outside = tempdir().expect("a folder");
+    fs::write(outside.path().join("far.vtp"), vtp(&block(5, 0.0), 0)).expect("written");
+    fs::write(outside.path().join("far.bin"), [0; 1500]).expect("written");
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    let xmf = |path: &str| {
+        format!(
+            "<Xdmf Version=\"3.0\"><Domain><Grid><Geometry GeometryType=\"XYZ\">\
+             <DataItem Dimensions=\"125 3\" NumberType=\"Float\" Precision=\"4\" Format=\"Binary\">{path}</DataItem>\
+             </Geometry></Grid></Domain></Xdmf>"
+        )
+    };
+    let list = |path: &str| pvd([(0.0, path)]);
+    let layer = |path: &str| format!("#usda 1.0\n( subLayers = [@{path}@] )\n");
+    let far = outside.path().join("far.bin");
+    let far = far.to_str().expect("a name");
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::symlink(outside.path(), folder.join("link")).expect("linked");
+        fs::write(outside.path().join("far.usda"), "#usda 1.0\n").expect("written");
+    }
+    let link = "a link leads out of the folder";
+    for (name, text, why) in [
+        ("a.xmf", xmf(far), "which is not a path relative to its own folder"),
+        ("b.xmf", xmf("../far.bin"), "which is outside of its own folder"),
+        ("c.xmf", xmf("far.bin"), "which it names, is missing"),
+        ("d.xmf", xmf("link/far.bin"), link),
+        ("d.pvd", list("link/far.vtp"), link),
+        ("d.usda", layer("link/far.usda"), link),
+    ] {
+        fs::write(folder.join(name), text).expect("written");
+        if why == link && !cfg!(unix) {
+            continue;
+        }
+        let result = convert(folder, &[name]);
+        assert_ne!(result.status, 0, "{name}: {}", result.out);
+        assert!(result.err.contains(why), "{name}: {}", result.err);
+    }
+}

@@ -19,6 +19,7 @@ use base64::engine::general_purpose::STANDARD;
 use serde::Deserialize;
 
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION};
+use crate::container::further_path;
 use crate::data::MeshData;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
@@ -468,7 +469,7 @@ pub(super) fn invalid(what: impl Into<String>) -> Error {
 //   parts/
 //     a b.bin
 //
-// Paths in a document are not trusted: they must lie in the document's folder or below it.
+// Paths in a document are not trusted: see `further_path`.
 
 /// An external file with buffers of a document.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -553,14 +554,7 @@ impl<'a> ExternalReader<'a> {
 /// Converts a URI to a relative path.
 fn path_of(uri: &str) -> Result<String> {
     let path = percent_decoded(uri).ok_or_else(|| invalid(format!("the URI {uri} is invalid")))?;
-    // Some exporters write paths with the separators of their system.
-    let is_absolute = path.starts_with(['/', '\\']);
-    let names: Vec<&str> = path.split(['/', '\\']).filter(|name| !name.is_empty() && *name != ".").collect();
-    if is_absolute || path.contains([':', '\0']) || names.contains(&"..") || names.is_empty() {
-        let what = format!("the buffer {uri} is outside the folder of the file");
-        return Err(Error::unsupported(FORMAT, what));
-    }
-    Ok(names.join("/"))
+    further_path(FORMAT, "", &path)
 }
 
 /// Decodes the percent escapes of a URI.

@@ -1,11 +1,13 @@
 //! The files that a frame was read from besides its own: members of a list, data files, layers. They may change while
 //! the file that names them stays as it is.
 
-use std::path::Path;
+use std::io;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use twox_hash::xxhash3_128::Hasher;
 
+use super::identity::real_path;
 use super::json::hex;
 use super::stamp::FileStamp;
 
@@ -34,6 +36,19 @@ impl NamedFiles {
         let now = |path: &String| FileStamp::of_path(&file.with_file_name(path)).ok();
         state_of_files(self.paths.iter().map(|path| (&**path, now(path)))) == self.state
     }
+}
+
+/// The path of a file that another one, in `folder`, names by a path within this folder.
+///
+/// # Errors
+/// `InvalidInput` if a link leads out of the folder: a file from elsewhere should not make this program open other files.
+pub(crate) fn path_of_named(folder: &Path, named: &str) -> io::Result<PathBuf> {
+    let path = folder.join(named);
+    if real_path(&path).starts_with(real_path(folder)) {
+        return Ok(path);
+    }
+    let what = "a link leads out of the folder of the file that names it: move the files into one folder";
+    Err(io::Error::new(io::ErrorKind::InvalidInput, what))
 }
 
 /// A hash of the paths and the stamps of files, apart from times of status changes: `None` for a file that is missing.

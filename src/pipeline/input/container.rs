@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::pipeline::files::input_file::InputFile;
-use crate::pipeline::files::named_files::{NamedFiles, state_of_files};
+use crate::pipeline::files::named_files::{NamedFiles, path_of_named, state_of_files};
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::stamp::FileStamp;
 use meniscus_formats::compression::{decompressed, read_head};
@@ -185,7 +185,7 @@ impl OpenContainer {
 
     /// Opens a file that the container names, by its path relative to the folder.
     fn open_further(&self, path: &str) -> io::Result<Box<dyn ReadAt>> {
-        let path = self.folder.join(path);
+        let path = path_of_named(&self.folder, path)?;
         let file = InputFile::open(&path).map(Arc::new);
         self.lock_further().push((path, file.as_ref().ok().map(Arc::clone)));
         let file = file?;

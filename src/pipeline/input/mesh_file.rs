@@ -16,6 +16,7 @@ use super::container::OpenContainer;
 use super::obstacle_file::may_have_buffers;
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::input_file::InputFile;
+use crate::pipeline::files::named_files::path_of_named;
 use crate::pipeline::files::open::{open_regular, read_regular};
 use crate::pipeline::records::content::{SniffedContent, own_content};
 use crate::pipeline::target::viewpoint::Viewpoint;
@@ -53,13 +54,14 @@ impl MeshFile {
         let folder = path.parent().unwrap_or(Path::new(""));
         let further = Mutex::new(None::<Hasher>);
         let read_one = |relative: &str| {
+            let further = path_of_named(folder, relative)?;
             if !may_have_buffers(path) {
-                return read_regular(&folder.join(relative));
+                return read_regular(&further);
             }
             let files = gltf::external_files(&bytes).map_err(io::Error::other)?;
             let file = files.iter().find(|file| file.path == relative).ok_or(io::ErrorKind::NotFound)?;
             let mut content = Vec::new();
-            open_regular(&folder.join(relative))?.take(file.byte_count).read_to_end(&mut content)?;
+            open_regular(&further)?.take(file.byte_count).read_to_end(&mut content)?;
             Ok(content)
         };
         let read_external = |relative: &str| {

@@ -23,6 +23,7 @@ use super::container::OpenContainer;
 use super::level_set_file::level_set_limits;
 use crate::pipeline::error::ObstacleError;
 use crate::pipeline::files::input_file::{read_start_unchanged, read_unchanged};
+use crate::pipeline::files::named_files::path_of_named;
 use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::warning::ObstacleFinding;
 
@@ -69,11 +70,13 @@ pub(super) fn read(
     let mut buffers = HashMap::new();
     let mut buffer_hasher: Option<Hasher> = None;
     for external in buffers_of(&path, &file).map_err(|error| failed(&path, error))? {
-        let buffer = path.with_file_name(&external.path);
-        let unchanged = read_start_unchanged(&buffer, external.byte_count).map_err(|error| {
+        let of_buffer = |error: io::Error| {
             let message = format!("its buffer {}: {error}", external.path);
             failed(&path, io::Error::new(error.kind(), message))
-        })?;
+        };
+        let buffer =
+            path_of_named(path.parent().unwrap_or(Path::new("")), &external.path).map_err(of_buffer)?;
+        let unchanged = read_start_unchanged(&buffer, external.byte_count).map_err(of_buffer)?;
         let (bytes, stamp) = unchanged.ok_or_else(|| changed(&buffer))?;
         buffer_hasher.get_or_insert_with(Hasher::new).write(&bytes);
         files.push((buffer, stamp));
