@@ -149,6 +149,8 @@ fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: Vec<FrameFile>)
 struct WantedSettings {
     /// The id of its settings.
     id: String,
+    /// Whether their values are recorded, and so the frames on which it depends are known.
+    has_values: bool,
     /// The frames on which it depends, and how far those are that are not of its history.
     around: Arc<[AroundFrame]>,
     beside: u32,
@@ -196,7 +198,16 @@ fn current_settings(
                 if reach.has_history() { known.frames_around(file.number(), reach) } else { Arc::default() };
             let is_history = |frame: &&AroundFrame| frame.steps.unsigned_abs() > beside;
             let history = of_all.iter().filter(is_history).cloned().collect();
-            (file.path.clone(), WantedSettings { id: current.to_owned(), around, beside, history })
+            (
+                file.path.clone(),
+                WantedSettings {
+                    id: current.to_owned(),
+                    has_values: values.is_some(),
+                    around,
+                    beside,
+                    history,
+                },
+            )
         }));
     }
     settings
@@ -229,7 +240,8 @@ fn verify_frame(
         }
     };
     let none = WantedSettings::default();
-    let WantedSettings { id: settings_id, around, beside, history } = settings.get(&input).unwrap_or(&none);
+    let WantedSettings { id: settings_id, has_values, around, beside, history } =
+        settings.get(&input).unwrap_or(&none);
     let hash_of = |frame: &AroundFrame| hashes.get(&frame.path)?.as_ref().ok().copied();
     // Obstacles are not read here.
     let around = around.iter().map(|frame| frame.recorded(hash_of(frame), "")).collect();
@@ -241,7 +253,7 @@ fn verify_frame(
         input_hash: input_hash.clone().ok().flatten(),
         obstacles: None,
         // Without the inputs, frames around may exist that were never converted.
-        around: (is_given && matches!(input_hash, Ok(Some(_)))).then_some(&*around),
+        around: (is_given && *has_values && matches!(input_hash, Ok(Some(_)))).then_some(&*around),
         settings_id,
         settings: settings.as_ref(),
         cameras: Vec::new(),

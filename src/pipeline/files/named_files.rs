@@ -44,7 +44,7 @@ impl NamedFiles {
 /// `InvalidInput` if a link leads out of the folder: a file from elsewhere should not make this program open other files.
 pub(crate) fn path_of_named(folder: &Path, named: &str) -> io::Result<PathBuf> {
     let path = folder.join(named);
-    if real_path(&path).starts_with(real_path(folder)) {
+    if real_path(&path).starts_with(real_path(&Path::new(".").join(folder))) {
         return Ok(path);
     }
     let what = "a link leads out of the folder of the file that names it: move the files into one folder";
