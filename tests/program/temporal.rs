@@ -123,6 +123,35 @@ fn changed_frames_concern_those_around_them() {
     assert_eq!(names.iter().filter(|name| name.ends_with(".obj")).count(), 3, "{names:?}");
 }
 
+/// `verify` and `convert --skip-done` judge alike, whichever line of the records is lost: that of the settings, too.
+#[test]
+fn losing_a_line_of_the_records_costs_time_only() {
+    let folder = prepared("id");
+    let folder = folder.path();
+    for options in [&["--temporal", "1"][..], &["--spray", "4"], &["--rest", "1"]] {
+        let out = options[0].trim_start_matches('-');
+        convert_with(folder, out, options);
+        let names = names_in(&folder.join(out).join(".meniscus")).into_iter();
+        let name = names.filter(|name| name.starts_with("frames-")).find(|name| !name.contains('.'));
+        let path = folder.join(out).join(".meniscus").join(name.expect("records"));
+        let text = fs::read_to_string(&path).expect("text");
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines.len(), 7, "{text}");
+        for lost in 0..lines.len() {
+            let mut kept = lines.clone();
+            let line = kept.remove(lost);
+            fs::write(&path, kept.join("\n") + "\n").expect("written");
+            let verify = || meniscus(folder, &["verify", out, "--input", "in"]);
+            let done_count = if line.contains("\"settings\":{\"id\"") { 6 } else { 5 };
+            let found = verify();
+            assert!(found.out.contains(&format!("{done_count} done")), "{line}: {}{}", found.out, found.err);
+            let again = convert_with(folder, out, &[options, &["--skip-done"]].concat());
+            assert_eq!(again.out.matches("done already").count(), done_count, "{line}: {}", again.out);
+            assert_eq!(verify().status, 0, "{line}: {}", verify().err);
+        }
+    }
+}
+
 /// The memory that a frame needs with those around it suffices for all ways to compute them.
 #[test]
 fn frames_that_need_more_memory_fail_with_a_sufficient_amount() {
