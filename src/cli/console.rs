@@ -21,7 +21,7 @@ use crate::surface::reconstruction::MemoryPlan;
 #[derive(Debug)]
 pub(super) struct Console {
     bar: Option<ProgressBar>,
-    /// Whether the standard output is closed or failed, so that nothing more is printed there.
+    /// Whether only warnings and errors are printed: as requested, or because the standard output is closed or failed.
     muted: bool,
     failure: Option<io::Error>,
     failed_count: usize,
@@ -47,6 +47,11 @@ impl Console {
         self.out_is_taken = true;
     }
 
+    /// Prints only warnings and errors from now on.
+    pub(super) fn be_quiet(&mut self) {
+        self.muted = true;
+    }
+
     /// Prints a line of results. Control characters are [`escaped`]: they could forge a line or control the
     /// terminal.
     pub(super) fn print_line(&mut self, line: impl Display) {
@@ -70,11 +75,11 @@ impl Console {
     }
 
     fn print(&mut self, text: impl Display) {
-        if self.out_is_taken {
-            return print_on_error(self.bar.as_ref(), text);
-        }
         if self.muted {
             return;
+        }
+        if self.out_is_taken {
+            return print_on_error(self.bar.as_ref(), text);
         }
         let print = || {
             let mut out = io::stdout().lock();
@@ -128,7 +133,7 @@ impl Console {
     /// frame, only its stage. Returns true if the bar replaces the line that is otherwise printed for each
     /// frame.
     pub(super) fn show_bar(&mut self, frame_count: usize) -> bool {
-        if frame_count == 0 || !io::IsTerminal::is_terminal(&io::stderr()) {
+        if frame_count == 0 || self.muted || !io::IsTerminal::is_terminal(&io::stderr()) {
             return false;
         }
         let template = if frame_count == 1 { STAGE } else { BAR };

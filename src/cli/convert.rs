@@ -44,6 +44,9 @@ use super::wording::{option_names, pluralize};
 /// If the conversion cannot start, for example because an option is invalid. A failed frame is not an error
 /// here: it is reported and counted.
 pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<CommandOutcome> {
+    if args.quiet {
+        console.be_quiet();
+    }
     let start = Instant::now();
     if args.particles_only {
         refuse_options_for_surfaces(args)?;
@@ -150,7 +153,7 @@ fn open_records(folder: &Path, console: &Console) -> Result<FrameRecords> {
 }
 
 /// The options allowed with `--particles-only`.
-const ALLOWED_WITH_PARTICLES_ONLY: [&str; 12] = [
+const ALLOWED_WITH_PARTICLES_ONLY: [&str; 13] = [
     "particles_only",
     "inputs",
     "out",
@@ -159,6 +162,7 @@ const ALLOWED_WITH_PARTICLES_ONLY: [&str; 12] = [
     "columns",
     "where",
     "skip_done",
+    "quiet",
     "shard",
     "threads",
     "memory",
@@ -166,8 +170,8 @@ const ALLOWED_WITH_PARTICLES_ONLY: [&str; 12] = [
 ];
 
 const PARTICLES_ONLY: &str = "--particles-only makes no surfaces, so options for surfaces, their files and \
-     reports do not apply: only INPUT, --out, --format, --frames, --columns, --where, --skip-done, --shard, --threads, \
-     --memory and --on-error may be combined with it";
+     reports do not apply: only INPUT, --out, --format, --frames, --columns, --where, --skip-done, --quiet, --shard, \
+     --threads, --memory and --on-error may be combined with it";
 
 /// Refuses formats that cannot store particles.
 fn refuse_surface_formats(outputs: &OutputOptions) -> Result<()> {

@@ -31,7 +31,10 @@ use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::Parser;
+use clap::error::{ContextKind, ErrorKind};
 use meniscus_formats::escaped;
+
+use crate::surface::words::significant;
 
 pub use machine::give_memory_back;
 pub use quantities::parse_bytes;
@@ -98,6 +101,20 @@ fn printable(error: clap::Error, arguments: &[OsString]) -> clap::Error {
     Cli::try_parse_from(escaped).err().unwrap_or(error)
 }
 
+/// The hint for `-r RADIUS`, with which splashsurf gets the radius of the particles.
+fn radius_hint(error: &clap::Error, arguments: &[OsString]) -> Option<String> {
+    let invalid = error.get(ContextKind::InvalidArg)?;
+    if error.kind() != ErrorKind::UnknownArgument || invalid.to_string() != "-r" {
+        return None;
+    }
+    let radius = arguments.iter().skip_while(|argument| *argument != "-r").nth(1);
+    let radius: Option<f64> = radius.and_then(|text| text.to_str()?.parse().ok());
+    let spacing = radius.map_or("the distance of neighbours".to_owned(), |radius| significant(2.0 * radius));
+    Some(format!(
+        "hint: for particles of a radius, give their spacing, which is twice as much: --spacing {spacing}"
+    ))
+}
+
 /// Runs the command in `arguments`, which begin with the program's name. The exit status is 0 if everything
 /// succeeded, 1 if some of it failed, 2 if nothing was done or the command is invalid.
 pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode {
@@ -115,6 +132,9 @@ pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8
             let help_or_error = printable(help_or_error, &arguments);
             // A closed output is not an error, and other write errors cannot be reported anywhere.
             let _ = help_or_error.print();
+            if let Some(hint) = radius_hint(&help_or_error, &arguments) {
+                Console::new().warn(hint);
+            }
             return u8::try_from(help_or_error.exit_code()).unwrap_or(2);
         }
     };

@@ -517,3 +517,23 @@ fn new_configuration_is_valid_before_anything_is_recorded() {
     let result = meniscus(path, &["status", "--out", "out"]);
     assert!(result.status != 0 && result.err.contains("nothing is recorded here"), "{}", result.err);
 }
+
+#[test]
+fn quiet_prints_warnings_and_errors_only() {
+    let folder = tempdir().expect("a folder");
+    write_ply(&folder.path().join("a.1.ply"), &block(4, 0.0));
+    let result = meniscus(folder.path(), &["convert", "a.1.ply", "--out=out", "--format=obj", "-q"]);
+    assert_eq!((result.status, &*result.out, &*result.err), (0, "", ""));
+    let result = meniscus(folder.path(), &["convert", "b.1.ply", "--out=out", "-q"]);
+    assert!(result.status == 2 && result.err.contains("b.1.ply"), "{}", result.err);
+}
+
+/// As splashsurf has it.
+#[test]
+fn radius_is_answered_with_the_spacing() {
+    let folder = tempdir().expect("a folder");
+    for (arguments, hint) in [(&["-r", "0.025"][..], "--spacing 0.05"), (&["-r"], "--spacing the distance")] {
+        let result = meniscus(folder.path(), &[&["convert", "a.1.ply"][..], arguments].concat());
+        assert!(result.status == 2 && result.err.contains(hint), "{}", result.err);
+    }
+}

@@ -313,20 +313,18 @@ fn unreadable_file_does_not_stop_others() {
 }
 
 #[test]
-fn folders_are_refused_and_patterns_are_expanded() {
+fn folders_and_patterns_are_expanded() {
     let folder = tempdir().expect("a folder");
     fs::create_dir(folder.path().join("in")).expect("made");
     for name in ["a.1.ply", "a.2.ply"] {
         write_ply(&folder.path().join("in").join(name), &block(4, 0.0));
     }
-    let result = meniscus(folder.path(), &["info", "in"]);
+    fs::create_dir(folder.path().join("empty")).expect("made");
+    let result = meniscus(folder.path(), &["info", "empty"]);
     assert_eq!(result.status, 2);
-    assert!(
-        result.err.contains("in: this is a folder: give the files in it, or a pattern"),
-        "{}",
-        result.err
-    );
-    for pattern in ["in/*.ply", "in/a.#.ply"] {
+    let why = "empty: this is a folder without particles: give the files in it, or a pattern";
+    assert!(result.err.contains(why), "{}", result.err);
+    for pattern in ["in", "in/*.ply", "in/a.#.ply"] {
         let result = meniscus(folder.path(), &["info", pattern]);
         assert_eq!(
             (result.status, result.out.matches(": PLY, ").count()),

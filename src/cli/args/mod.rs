@@ -116,6 +116,10 @@ option_set! {
         #[arg(long)]
         pub(super) skip_done: bool,
 
+        /// Print only warnings and errors
+        #[arg(short, long)]
+        pub(super) quiet: bool,
+
         /// For .vdb level sets only: maximum distance by which smoothing may move the surface, in voxels, 0 to 3; 0
         /// leaves it unchanged [default: 0]
         ///

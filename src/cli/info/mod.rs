@@ -111,11 +111,11 @@ pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<CommandOutc
     Ok(counts.outcome())
 }
 
-/// The files that the arguments name. A file with several steps yields each step; a file whose steps cannot
+/// The files that the arguments name: of a folder or a pattern, those that `convert` takes. A file with several steps yields each step; a file whose steps cannot
 /// be listed is returned as it is, and reading it reports the error.
-fn files_of(path: &Path, console: &Console) -> Box<dyn Iterator<Item = PathBuf>> {
+fn files_of(path: &Path, console: &mut Console) -> Box<dyn Iterator<Item = PathBuf>> {
     let alone = Box::new(iter::once(path.to_owned()));
-    if path.symlink_metadata().is_ok() || step_of(path).is_some() {
+    if (path.symlink_metadata().is_ok() && !path.is_dir()) || step_of(path).is_some() {
         return match frames_in_unless(path, &AtomicBool::new(false)) {
             Ok(frames) => Box::new(frames.paths()),
             Err(_) => alone,
@@ -123,9 +123,7 @@ fn files_of(path: &Path, console: &Console) -> Box<dyn Iterator<Item = PathBuf>>
     }
     // A pattern without matches is reported like a missing file.
     let Ok(found) = find_inputs(&[path.to_owned()], None) else { return alone };
-    for warning in &found.warnings {
-        console.warning(warning);
-    }
+    found.report(console);
     Box::new(found.files.into_iter().map(|file| file.path))
 }
 
@@ -332,7 +330,7 @@ impl FileInfo {
 fn check_file(path: &Path) -> Result<()> {
     if path.is_dir() {
         bail!(
-            "this is a folder: give the files in it, or a pattern such as {}",
+            "this is a folder without particles: give the files in it, or a pattern such as {}",
             path.join("*.glb").display()
         );
     }
