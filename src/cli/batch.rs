@@ -56,6 +56,8 @@ struct Outcomes {
     broken_count: usize,
     not_started_count: usize,
     failures: Vec<String>,
+    /// Whether the machine failed, in one of them.
+    has_machine_failed: bool,
     /// The value of `noted_count` at the first failure.
     noted_at_first_failure: Option<usize>,
     /// The warnings that were printed, by the index of their sequence.
@@ -215,7 +217,10 @@ impl<'a> Batch<'a> {
                 let failure = format!("{name}: the file was written while it was read");
                 self.fail_frame(frame, failure, console);
             }
-            Outcome::Failed(error) => self.fail_frame(frame, error.to_string(), console),
+            Outcome::Failed(error) => {
+                self.outcomes.has_machine_failed |= error.is_of_machine();
+                self.fail_frame(frame, error.to_string(), console);
+            }
             Outcome::NotStarted => self.outcomes.not_started_count += 1,
         }
         console.advance_bar();
@@ -337,6 +342,9 @@ impl<'a> Batch<'a> {
             } else {
                 console.error(format_args!("{what}; --allow-violations accepts them"));
             }
+        }
+        if self.outcomes.has_machine_failed {
+            return CommandOutcome::MachineFailed;
         }
         CommandOutcome::of(self.outcomes.done_count, failed_count, has_violations)
     }

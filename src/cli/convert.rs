@@ -6,6 +6,7 @@
 //! ```
 
 use std::collections::BTreeSet;
+use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -28,7 +29,8 @@ use super::batch::{Batch, UsdStageWriter};
 use super::console::Console;
 use super::destination::{Destination, OutFolder, StandardInput};
 use super::inputs::{
-    InputSelection, SelectedSequence, check_output_path, refuse_level_sets, select_frames, selected_files,
+    InputSelection, SelectedSequence, check_output_path, is_pattern, refuse_level_sets, select_frames,
+    selected_files,
 };
 use super::machine::thread_pool;
 use super::sequence::SequenceOutputs;
@@ -68,6 +70,9 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
     }
     let pipe = StandardInput::take(args)?;
     let inputs = pipe.as_ref().map_or(&*args.inputs, |pipe| std::slice::from_ref(&pipe.path));
+    if args.shard.is_some() {
+        check_mounted(&args.inputs)?;
+    }
     let mut selection = select_frames(inputs, args.frames.as_ref(), &args.method, console)?;
     if console.failed_count() > 0 && args.on_error == Some(OnError::Stop) {
         bail!("nothing is converted, because of --on-error stop: make the paths above readable");
@@ -380,6 +385,23 @@ fn stage_sequence(sequence: &Sequence, outputs: &OutputOptions) -> UsdStageSeque
 
 // `convert --shard`: a part of the frames, so that several machines can share the work.
 
+/// The error of a folder that all shards see, but not this machine.
+fn not_mounted(folder: &Path, what: &str) -> anyhow::Error {
+    let error = format!("{}: {what}", folder.display());
+    io::Error::new(io::ErrorKind::NotConnected, error).into()
+}
+
+/// Refuses inputs whose folder does not exist: other shards see it.
+fn check_mounted(inputs: &[PathBuf]) -> Result<()> {
+    let folders = inputs.iter().filter_map(|input| input.parent());
+    let is_missing =
+        |folder: &&Path| !folder.as_os_str().is_empty() && !is_pattern(folder) && !folder.exists();
+    match folders.into_iter().find(is_missing) {
+        Some(folder) => Err(not_mounted(folder, "there is no such folder: is it mounted?")),
+        None => Ok(()),
+    }
+}
+
 /// The shard of `--shard`, if it is given.
 ///
 /// # Errors
@@ -394,10 +416,9 @@ fn shard_of(
         bail!("--shard writes into a folder that all shards share: name a folder with --out");
     }
     if !outputs.folder.is_dir() {
-        bail!(
-            "{}: the folder of the results does not exist: is it mounted? Create it before the shards start",
-            outputs.folder.display()
-        );
+        let what =
+            "the folder of the results does not exist: is it mounted? Create it before the shards start";
+        return Err(not_mounted(&outputs.folder, what));
     }
     if !args.sequence.is_empty() {
         bail!(

@@ -703,7 +703,7 @@ fn subfolder_count(folder: &Path) -> usize {
 }
 
 /// Whether a path can be a pattern: its name has a placeholder for a number, or it contains wildcards.
-fn is_pattern(path: &Path) -> bool {
+pub(super) fn is_pattern(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     NumberPattern::find(name).is_some() || path.to_string_lossy().contains(WILDCARDS)
 }

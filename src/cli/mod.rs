@@ -27,13 +27,16 @@ mod verify;
 mod watch;
 mod wording;
 
+use std::error::Error;
 use std::ffi::OsString;
+use std::io;
 use std::process::ExitCode;
 
 use clap::Parser;
 use clap::error::{ContextKind, ErrorKind};
 use meniscus_formats::escaped;
 
+use crate::pipeline::is_error_of_machine;
 use crate::surface::words::significant;
 
 pub use machine::give_memory_back;
@@ -51,6 +54,8 @@ enum CommandOutcome {
     SomeFailed,
     /// Nothing succeeded.
     NothingDone,
+    /// The machine failed: its disk, or a folder that it shares with others.
+    MachineFailed,
 }
 
 impl CommandOutcome {
@@ -116,7 +121,7 @@ fn radius_hint(error: &clap::Error, arguments: &[OsString]) -> Option<String> {
 }
 
 /// Runs the command in `arguments`, which begin with the program's name. The exit status is 0 if everything
-/// succeeded, 1 if some of it failed, 2 if nothing was done or the command is invalid.
+/// succeeded, 1 if some of it failed, 2 if nothing was done or the command is invalid, 75 if the machine failed.
 pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode {
     ExitCode::from(status_of(arguments))
 }
@@ -161,7 +166,13 @@ pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8
     let mut outcome = outcome.unwrap_or_else(|error| {
         console.hide_bar();
         console.error(wording::with_causes(&error));
-        CommandOutcome::NothingDone
+        let is_of_machine = |cause: &(dyn Error + 'static)| {
+            cause.downcast_ref::<io::Error>().is_some_and(is_error_of_machine)
+        };
+        match error.chain().any(is_of_machine) {
+            true => CommandOutcome::MachineFailed,
+            false => CommandOutcome::NothingDone,
+        }
     });
     if outcome == CommandOutcome::Done && console.failed_count() > 0 {
         console.error("frames are missing from the results, for the reasons above");
@@ -175,5 +186,7 @@ pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8
         CommandOutcome::Done => 0,
         CommandOutcome::SomeFailed => 1,
         CommandOutcome::NothingDone => 2,
+        // EX_TEMPFAIL of sysexits.h.
+        CommandOutcome::MachineFailed => 75,
     }
 }

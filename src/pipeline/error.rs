@@ -168,6 +168,16 @@ impl FrameError {
         is_disk_full(source)
     }
 
+    /// Whether the machine failed, its disk or a shared folder, and not the input or its settings: the frame may
+    /// succeed elsewhere or later.
+    pub fn is_of_machine(&self) -> bool {
+        match &self.cause {
+            Cause::File(meniscus_formats::Error::Io(source)) => is_error_of_machine(source),
+            Cause::Scratch(_) => true,
+            _ => false,
+        }
+    }
+
     /// Runs `work` on the frame at `path`; a panic becomes an error of this frame.
     ///
     /// # Errors
@@ -181,6 +191,25 @@ impl FrameError {
             cause: Cause::Panic(panic_message(&*payload)),
         })
     }
+}
+
+/// Whether a system error is one of the machine, and not of the path or the content of a file.
+pub(crate) fn is_error_of_machine(error: &io::Error) -> bool {
+    use io::ErrorKind::{
+        InvalidData, InvalidFilename, InvalidInput, IsADirectory, NotADirectory, NotFound, PermissionDenied,
+        UnexpectedEof,
+    };
+    !matches!(
+        error.kind(),
+        NotFound
+            | NotADirectory
+            | IsADirectory
+            | InvalidFilename
+            | InvalidInput
+            | InvalidData
+            | UnexpectedEof
+            | PermissionDenied
+    )
 }
 
 fn panic_message(payload: &(dyn Any + Send)) -> String {

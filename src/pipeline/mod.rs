@@ -66,6 +66,7 @@ mod stages;
 mod target;
 mod warning;
 
+pub(crate) use error::is_error_of_machine;
 pub use error::{Cause, Conflict, FrameError, ObstacleError, Stage};
 pub use files::atomic_write::{replace_own, stop_writing, write_atomically};
 pub use files::frame_number::{is_number, natural_order};

@@ -4,11 +4,10 @@ another is killed.
     one process  ──────────────────────────────────────────────▶  one/   ┐
     1  2  3  4   tasks of an array, two at a time                         ├ the same bytes
        │  └─ SIGKILL during the task ──▶ requeued ──────────────▶  out/   ┘
-       └─ an invalid frame ──▶ requeued, and repaired meanwhile
-                               └──▶ verify, after all
+       └─ an invalid frame ──▶ failed, repaired, and submitted again
 
-The array's script, which is that of examples/farm, requeues both tasks. A requeued task does not repeat
-finished frames.
+The array's script, which is that of examples/farm, requeues a task that was killed, and not one whose input is
+broken. Neither a requeued task nor one that is submitted again repeats finished frames.
 """
 
 import filecmp
@@ -43,45 +42,58 @@ def main():
     check.line("one process", f"{FRAME_COUNT} frames", [said] if status else [])
     with cluster(work / "cluster") as environment:
         environment["MENISCUS"] = str(PROGRAM)
+        broken, sound = break_frame(work)
+        run = Run(work, environment)
+        run.to_the_end(KILLED_SHARD)
+        check_tasks(check, run, {BROKEN_SHARD: "FAILED 1:0 0", KILLED_SHARD: "COMPLETED 0:0 1"}, "1:0")
+        faults = [] if run.before_kill and run.identities() == run.before_kill else ["the frame was written again"]
+        check.line("killed by SIGKILL", "finished frames stay as they were", faults)
+        broken.write_bytes(sound)
         run = Run(work, environment)
         run.to_the_end()
-        check_tasks(check, run)
+        check_tasks(check, run, {}, "0:0")
     check_outputs(check, work)
     return check.end()
 
 
+def first_of(work, shard):
+    """The name of the first frame of a shard, without extension."""
+    stems = sorted(path.stem for path in (work / "in").iterdir())
+    return stems[(shard - 1) * FRAME_COUNT // SHARD_COUNT]
+
+
+def break_frame(work):
+    """Replaces a frame by an invalid one. Returns its path, and what it was."""
+    path = work / "in" / f"{first_of(work, BROKEN_SHARD)}.bgeo"
+    sound = path.read_bytes()
+    path.write_bytes(b"no frame at all")
+    return path, sound
+
+
 class Run:
-    """A run of the array, with one task that is killed."""
+    """A run of the array."""
 
     def __init__(self, work, environment):
         self.work, self.environment = work, environment
-        stems = sorted(path.stem for path in (work / "in").iterdir())
-        first_of = lambda shard: stems[(shard - 1) * FRAME_COUNT // SHARD_COUNT]
-        self.killed_first = first_of(KILLED_SHARD)
+        self.killed_first = first_of(work, KILLED_SHARD)
         # The identities of the shard's first outputs at the time when the shard was killed.
         self.before_kill = None
-        self.is_mended = False
-        self.broken = work / "in" / f"{first_of(BROKEN_SHARD)}.bgeo"
-        self.sound = self.broken.read_bytes()
-        self.broken.write_bytes(b"no frame at all")
         submit = [ROOT / "examples" / "farm" / "submit.sh", str(SHARD_COUNT), "--cpus-per-task=1", "--", "in", "--out", "out", *OPTIONS]
         ran = subprocess.run(submit, env=environment, cwd=work, check=True, capture_output=True, text=True, timeout=60)
         self.array, self.verify = ran.stdout.split()
         self.seconds = time.monotonic()
 
-    def to_the_end(self):
-        """Kills a shard, repairs a frame, and waits until the last job has ended."""
+    def to_the_end(self, killed_shard=None):
+        """Waits until the last job has ended, and kills a shard before."""
         deadline = self.seconds + DEADLINE_SECONDS
         while not self.has_ended():
             if time.monotonic() > deadline:
                 print(ask(self.environment, "squeue"), file=sys.stderr)
                 raise TimeoutError(f"the jobs have not ended after {DEADLINE_SECONDS} s")
-            if self.before_kill is None:
+            is_to_be_killed = killed_shard is not None and self.before_kill is None
+            if is_to_be_killed:
                 self.kill()
-            if not self.is_mended and self.task(BROKEN_SHARD).get("Restarts") == "1":
-                self.broken.write_bytes(self.sound)
-                self.is_mended = True
-            time.sleep(0.02 if self.before_kill is None else 0.2)
+            time.sleep(0.02 if is_to_be_killed else 0.2)
         self.seconds = time.monotonic() - self.seconds
 
     def kill(self):
@@ -129,18 +141,16 @@ def fields(text):
     return {name: value for name, _, value in words}
 
 
-def check_tasks(check, run):
-    """Checks the final states of the tasks according to Slurm."""
+def check_tasks(check, run, others, verified):
+    """Checks the final states of the tasks according to Slurm, and the exit code of the last job. `others` has the state
+    of each shard that does not simply succeed."""
     for shard in range(1, SHARD_COUNT + 1):
         task = run.task(shard)
-        found = [task.get(name) for name in ("JobState", "ExitCode", "Restarts")]
-        restarts = "1" if shard in (BROKEN_SHARD, KILLED_SHARD) else "0"
-        faults = [f"to be COMPLETED 0:0 {restarts}"] if found != ["COMPLETED", "0:0", restarts] else []
-        check.line(f"shard {shard}", "state, exit code, restarts: " + " ".join(map(str, found)), faults)
-    faults = [] if run.before_kill and run.identities() == run.before_kill else ["the frame was written again"]
-    check.line("killed by SIGKILL", "finished frames stay as they were", faults)
+        found = " ".join(str(task.get(name)) for name in ("JobState", "ExitCode", "Restarts"))
+        expected = others.get(shard, "COMPLETED 0:0 0")
+        check.line(f"shard {shard}", f"state, exit code, restarts: {found}", [] if found == expected else [f"to be {expected}"])
     verify = run.verify_job()
-    faults = [] if verify.get("ExitCode") == "0:0" else [str(verify)]
+    faults = [] if verify.get("ExitCode") == verified else [str(verify)]
     check.line("verify", f"{verify.get('JobState')}, {run.seconds:.0f} s for all jobs", faults)
 
 

@@ -44,6 +44,7 @@ Exit status:
        with the reason, and the others are complete
   2    the command is invalid, or no frame was converted, or the standard output
        cannot be written
+  75   the machine failed, its disk or a folder that it shares: run it again
   130  interrupted: existing results are complete, and --skip-done continues
        from there";
 
