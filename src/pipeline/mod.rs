@@ -108,11 +108,11 @@ pub use input::source::{
     FrameFile, Sequence, are_single_frames, has_particle_extension, is_named_list, order_by_number,
     output_sequence, promises_particles, sequences, single_frame_sequences, single_frames_note,
 };
-pub(crate) use input::steps::step_in;
 pub use input::steps::{
     FileFrames, IndexPolicy, file_of, frame_name, frames_in, frames_in_unless, has_container_frames,
     is_missing_step, may_hold_several, size_bytes, step_of, time_of_frame,
 };
+pub(crate) use input::steps::{named_by_unreadable, step_in};
 pub use memory::{default_memory_bytes, resident_memory_bytes};
 pub use method::ScratchFile;
 pub use observer::Observer;

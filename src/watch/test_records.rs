@@ -42,6 +42,7 @@ pub(crate) fn unfinished_record(input: &Path, state: UnfinishedState) -> Unfinis
         state,
         reason: None,
         stamp: FileStamp::default(),
+        named: None,
         settings: String::new(),
         obstacle_stamp: None,
         attempts: 0,

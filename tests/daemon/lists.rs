@@ -96,8 +96,16 @@ fn rewritten_file_of_a_list_is_seen() {
         scene.put("in/d/0.vtp", piece(5));
         assert_eq!(scene.once(&ARGUMENTS).converted(), [name]);
         scene.assert_as_converted(&CONVERT);
+        // A failed frame is read again, too.
+        scene.put("in/d/0.vtp", "<VTKFile type=\"PolyData\"><PolyData></PolyData></VTKFile>\n");
+        scene.once(&ARGUMENTS).assert_status(1 + i32::from(is_alone));
+        scene.put("in/d/0.vtp", piece(5));
+        scene.once(&ARGUMENTS).assert_status(0);
+        scene.assert_as_converted(&CONVERT);
         // While a daemon runs.
         let daemon = scene.watch(&[&ARGUMENTS[..], &["--poll", "200ms"]].concat());
+        scene.put("in/d/0.vtp", "<VTKFile type=\"PolyData\"><PolyData></PolyData></VTKFile>\n");
+        daemon.await_line("the frame fails", |line| line.is_complaint() && line.is_about(frame));
         scene.put("in/d/0.vtp", piece(6));
         daemon.await_converted(frame);
         daemon.finish();

@@ -133,12 +133,16 @@ impl OpenContainer {
         if !self.is_unchanged()? {
             return Ok(None);
         }
+        Ok(Some((packed?, self.named_files())))
+    }
+
+    /// The files beside it that its readers wanted so far; `None` if there are none.
+    pub(super) fn named_files(&self) -> Option<Arc<NamedFiles>> {
         let relative =
             |path: &Path| path.strip_prefix(&self.folder).unwrap_or(path).to_str().map(str::to_owned);
         let further = self.further_files().into_iter();
-        let named =
-            NamedFiles::new(further.filter_map(|(path, stamp)| Some((relative(&path)?, stamp))).collect());
-        Ok(Some((packed?, named.map(Arc::new))))
+        let named = further.filter_map(|(path, stamp)| Some((relative(&path)?, stamp))).collect();
+        NamedFiles::new(named).map(Arc::new)
     }
 
     /// Whether neither the file nor those that were opened since were written, replaced or removed.

@@ -53,6 +53,7 @@ use super::record_line::{
 };
 use crate::pipeline::files::identity::real_path;
 use crate::pipeline::files::input_file::InputFile;
+use crate::pipeline::files::named_files::NamedFiles;
 use crate::pipeline::files::stamp::{FileStamp, now_ms};
 use crate::pipeline::input::around::RecordedAround;
 use crate::pipeline::input::frame::{Frame, FrameReport, Job};
@@ -162,6 +163,14 @@ impl RecordedFrame {
     pub fn at_ms(&self) -> u64 {
         let done = self.done.as_ref().map_or(0, |record| record.at_ms);
         self.unfinished.as_ref().map_or(done, |record| record.at_ms)
+    }
+
+    /// The files that it was read from besides its input, if there are any.
+    pub fn named(&self) -> Option<&NamedFiles> {
+        match (&self.unfinished, &self.done) {
+            (Some(unfinished), _) => unfinished.named.as_deref(),
+            (None, done) => done.as_ref()?.named.as_deref(),
+        }
     }
 
     /// The hash of the stamps of its obstacles, if it has any.
@@ -470,6 +479,7 @@ impl FrameRecords {
             state: UnfinishedState::Failed,
             reason: Some(Reason::Error(reason.to_owned())),
             stamp: FileStamp::of_path(file_of(input)).unwrap_or_default(),
+            named: None,
             settings: String::new(),
             obstacle_stamp: None,
             attempts: 1,

@@ -131,6 +131,9 @@ pub struct UnfinishedRecord {
     /// The stamp of the input.
     #[serde(default)]
     pub stamp: FileStamp,
+    /// If it failed, the files that it was read from besides its input, if there are any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub named: Option<Arc<NamedFiles>>,
     /// The id of its settings; empty if they are not known.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub settings: String,

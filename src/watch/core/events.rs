@@ -17,8 +17,8 @@ use std::time::Instant;
 use meniscus_formats::Neighbor;
 
 use crate::pipeline::{
-    ChangedOutput, FileFrames, FileStamp, Frame, FrameError, ObstacleStamps, Outcome, Reason, RecordLine,
-    RecordedFrame,
+    ChangedOutput, FileFrames, FileStamp, Frame, FrameError, NamedFiles, ObstacleStamps, Outcome, Reason,
+    RecordLine, RecordedFrame,
 };
 
 use super::completeness::{Candidate, FileHint, Proof, Seen};
@@ -132,6 +132,8 @@ pub(crate) struct FrameFinished {
     pub(crate) outcome: Outcome,
     /// Free bytes on the disk, if the frame failed because the disk is full.
     pub(crate) free_bytes: Option<u64>,
+    /// The files besides its own from which the frame would be read, if it cannot be read.
+    pub(crate) named: Option<Arc<NamedFiles>>,
 }
 
 /// Requests the state of a file.
@@ -262,7 +264,15 @@ pub(crate) struct StepsOrder {
 pub(crate) struct FoundSteps {
     pub(crate) order: StepsOrder,
     /// The frames of the file; `None` if the file changed during the search.
-    pub(crate) frames: Result<Option<FileFrames>, FrameError>,
+    pub(crate) frames: Result<Option<FileFrames>, UnreadableFrame>,
+}
+
+/// Why a frame cannot be read.
+#[derive(Debug)]
+pub(crate) struct UnreadableFrame {
+    pub(crate) error: FrameError,
+    /// The files besides its own from which it would be read, if there are any.
+    pub(crate) named: Option<Arc<NamedFiles>>,
 }
 
 /// A request to the worker of a folder of outputs.

@@ -18,7 +18,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::pipeline::{
-    FileFrames, FileStamp, FrameFile, ObstacleStamps, Reason, RecordedAround, output_stem,
+    FileFrames, FileStamp, FrameFile, NamedFiles, ObstacleStamps, Reason, RecordedAround, output_stem,
 };
 
 use super::completeness::Candidate;
@@ -126,6 +126,8 @@ pub(crate) struct FrameState {
     pub(crate) phase: FramePhase,
     /// The stamp of its file: while it settles as last seen, and then that of the complete file.
     pub(crate) stamp: FileStamp,
+    /// If it failed, the files that it was read from besides its own, if there are any.
+    pub(crate) named: Option<Arc<NamedFiles>>,
     /// Whether the frame has too few particles to measure the spacing of its sequence.
     pub(crate) is_sparse: bool,
     /// A hash of the stamps of its obstacles when the frame was queued, or that of its record.
@@ -259,6 +261,7 @@ impl FrameTable {
             sequence,
             phase: FramePhase::Settling(candidate),
             stamp: *candidate.stamp(),
+            named: None,
             is_sparse: false,
             obstacle_stamp: None,
             attempt_count: 0,

@@ -78,7 +78,7 @@ impl Core {
             Some(FramePhase::Steps) if was_closed => self.read_steps_again(id),
             Some(FramePhase::Done) => self.check_outputs(id),
             Some(FramePhase::Steps) => self.check_steps(id),
-            Some(FramePhase::Failed) => self.check_refusal(id),
+            Some(FramePhase::Failed) => self.check_failed(id),
             _ => {}
         }
     }
@@ -347,6 +347,14 @@ impl Core {
         let is_owned = owner.is_some_and(|owner| owner != id && self.may_exist(owner));
         if is_refused && !is_owned && self.output_folder(id.root).is_mounted {
             self.inspect(id, None);
+        }
+    }
+
+    /// Checks a failed frame again: the files that it names may be others now, or the conflict gone.
+    pub(super) fn check_failed(&mut self, id: &FrameId) {
+        match self.record_of(id).filter(|record| record.named().is_some()).cloned() {
+            Some(record) => self.inspect(id, Some(RecordCheck { record, checks_obstacles: false })),
+            None => self.check_refusal(id),
         }
     }
 

@@ -105,9 +105,9 @@ impl Core {
         if record.is_none() {
             self.log_sparse(index, &sparse);
         }
-        for (id, stamp, error) in &unreadable {
-            if self.is_still(id, FramePhase::Held, stamp) {
-                self.failed_frame(id, error, None);
+        for (id, stamp, unreadable) in unreadable {
+            if self.is_still(&id, FramePhase::Held, &stamp) {
+                self.unreadable_frame(&id, unreadable);
             }
         }
         if let Some(id) = changed {

@@ -9,7 +9,7 @@ use crate::pipeline::{
     UnfinishedRecord, UnfinishedState,
 };
 
-use super::events::{FrameFinished, Log};
+use super::events::{FrameFinished, Log, UnreadableFrame};
 use super::frames::{FrameId, FramePhase, within};
 use super::retry::{RetryAction, backoff, recovery};
 use super::state::{Core, Failure};
@@ -17,11 +17,10 @@ use super::state::{Core, Failure};
 impl Core {
     /// The pipeline has finished with a frame.
     pub(super) fn on_finished(&mut self, finished: FrameFinished) {
-        let FrameFinished { id, outcome, free_bytes } = finished;
+        let FrameFinished { id, outcome, free_bytes, named } = finished;
         self.finished_count += 1;
-        if self.frames.get(&id).is_none() {
-            return;
-        }
+        let Some(frame) = self.frames.get_mut(&id) else { return };
+        frame.named = named;
         // Until its outcome is handled, the frame counts as queued again; if it was not started, it stays so.
         self.set_phase(&id, FramePhase::Queued);
         match outcome {
@@ -129,6 +128,18 @@ impl Core {
         let paths = self.recorded_outputs(id, record);
         let paths = paths.iter().map(|path| path.to_string_lossy().into_owned());
         serde_json::Value::from_iter(paths).to_string()
+    }
+
+    /// A frame cannot be read.
+    pub(super) fn unreadable_frame(
+        &mut self,
+        id: &FrameId,
+        UnreadableFrame { error, named }: UnreadableFrame,
+    ) {
+        if let Some(frame) = self.frames.get_mut(id) {
+            frame.named = named;
+        }
+        self.failed_frame(id, &error, None);
     }
 
     /// A frame failed: the error decides what to do.
@@ -261,6 +272,7 @@ impl Core {
             state,
             reason,
             stamp: frame.stamp,
+            named: frame.named.clone().filter(|_| state.is_failure()),
             settings: settings.unwrap_or_default().to_owned(),
             obstacle_stamp: frame.obstacle_stamp.clone(),
             attempts: frame.attempt_count,

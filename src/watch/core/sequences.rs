@@ -19,13 +19,14 @@ use std::sync::Arc;
 use twox_hash::XxHash3_64;
 
 use crate::pipeline::{
-    DoneRecord, FileStamp, FrameError, FrameFile, Framing, Job, NumberedFrames, ObstacleFiles,
-    ObstacleStamps, OutputOptions, PictureOptions, RecordedFrame, ReportedWarnings, SequenceCamera,
-    SequenceKey, SharedSettings, are_single_frames, recorded_settings, settings_id, valid_cameras,
+    DoneRecord, FileStamp, FrameFile, Framing, Job, NumberedFrames, ObstacleFiles, ObstacleStamps,
+    OutputOptions, PictureOptions, RecordedFrame, ReportedWarnings, SequenceCamera, SequenceKey,
+    SharedSettings, are_single_frames, recorded_settings, settings_id, valid_cameras,
 };
 use crate::surface::options::{self, Settings, SpacingOptions};
 use crate::watch::config::Watch;
 
+use super::events::UnreadableFrame;
 use super::frames::FrameId;
 use super::state::Core;
 
@@ -275,7 +276,7 @@ pub(crate) struct SpacingResult {
     /// Files with too few particles.
     pub(crate) sparse: Vec<(FrameId, FileStamp)>,
     /// Files that cannot be read.
-    pub(crate) unreadable: Vec<(FrameId, FileStamp, FrameError)>,
+    pub(crate) unreadable: Vec<(FrameId, FileStamp, UnreadableFrame)>,
     /// A file that changed during the measurement, which makes the result invalid.
     pub(crate) changed: Option<FrameId>,
     /// Reasons for the user to check the spacing.

@@ -50,7 +50,7 @@ impl Core {
             }
             Err(error) => {
                 self.forget_steps(&id);
-                self.failed_frame(&id, &error, None);
+                self.unreadable_frame(&id, error);
             }
         }
     }
@@ -131,7 +131,7 @@ impl Core {
         for step in self.known_steps(file) {
             match self.frames.phase(&step) {
                 Some(FramePhase::Done) => self.check_outputs(&step),
-                Some(FramePhase::Failed) => self.check_refusal(&step),
+                Some(FramePhase::Failed) => self.check_failed(&step),
                 _ => {}
             }
         }

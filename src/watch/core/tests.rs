@@ -240,7 +240,7 @@ impl Rig {
         {
             self.outputs.extend(record.output_paths(&self.core.output_folder(id(path).root).folder));
         }
-        let finished = FrameFinished { id: id(path), outcome, free_bytes: Some(0) };
+        let finished = FrameFinished { id: id(path), outcome, free_bytes: Some(0), named: None };
         self.event(Event::FrameFinished(Box::new(finished)));
     }
 

@@ -11,7 +11,7 @@ use rayon::ThreadPoolBuilder;
 
 use crate::pipeline::{
     Frame, FrameError, IndexPolicy, Observer, OnError, Outcome, PipelineOptions, Stage, default_in_flight,
-    stream,
+    named_by_unreadable, stream,
 };
 use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, FrameFinished, FrameToConvert};
@@ -97,8 +97,12 @@ fn run(
             Outcome::Failed(error) if error.is_disk_full() => free_bytes_at(error),
             _ => None,
         };
+        let named = match &outcome {
+            Outcome::Failed(error) if error.during == Stage::Read => named_by_unreadable(&id.path),
+            _ => None,
+        };
         // Fails only if the daemon has already ended.
-        let _ = events.send(Event::FrameFinished(Box::new(FrameFinished { id, outcome, free_bytes })));
+        let _ = events.send(Event::FrameFinished(Box::new(FrameFinished { id, outcome, free_bytes, named })));
     });
 }
 

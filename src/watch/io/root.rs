@@ -522,10 +522,9 @@ fn has_recorded_obstacles(check: &RecordCheck, obstacles: Option<&ObstacleStamps
     !check.checks_obstacles || check.record.obstacle_stamp() == obstacles.map(obstacle_stamp).as_ref()
 }
 
-/// Whether files that a done frame was read from besides its own, `file`, have changed since.
+/// Whether files that a frame was read from besides its own, `file`, have changed since.
 fn names_changed_files(check: &RecordCheck, file: &Path) -> bool {
-    let done = check.record.if_done();
-    done.and_then(|done| done.named.as_ref()).is_some_and(|named| !named.still_hold(file))
+    check.record.named().is_some_and(|named| !named.still_hold(file))
 }
 
 fn contents_of(id: &FrameId, watch: &Watch) -> FileContents {

@@ -13,10 +13,10 @@ use rayon::ThreadPoolBuilder;
 
 use crate::pipeline::{
     Attempt, FileStamp, FrameError, Framed, SequenceCamera, SharedSettings, Stage, frames_in_unless,
-    measure_sequence, preset_warning, sequence_bounds,
+    measure_sequence, named_by_unreadable, preset_warning, sequence_bounds,
 };
 use crate::surface::options::{self, Settings};
-use crate::watch::core::events::{Event, FoundSteps, SlowRequest, StepsOrder};
+use crate::watch::core::events::{Event, FoundSteps, SlowRequest, StepsOrder, UnreadableFrame};
 use crate::watch::core::frames::FrameId;
 use crate::watch::core::sequences::{MeasureOrder, SpacingResult, requested_camera};
 
@@ -60,8 +60,12 @@ fn find_steps(order: StepsOrder, is_over: &AtomicBool) -> FoundSteps {
     }
     let read = FrameError::catch(path, Stage::Read, || frames_in_unless(path, is_over));
     let read = read.and_then(|read| read.map_err(|error| FrameError::file(path, Stage::Read, error)));
-    let frames = if is_same() { read.map(Some) } else { Ok(None) };
+    let frames = if is_same() { read.map(Some).map_err(unreadable) } else { Ok(None) };
     FoundSteps { order, frames }
+}
+
+fn unreadable(error: FrameError) -> UnreadableFrame {
+    UnreadableFrame { named: named_by_unreadable(&error.path), error }
 }
 
 /// Measures the particle spacing, unless the voxel size is known, and fits the camera of pictures.
@@ -108,7 +112,7 @@ fn note(measured: &mut SpacingResult, path: &Path, attempt: Attempt, order: &Mea
     match attempt {
         Attempt::Measured => {}
         Attempt::TooFewParticles { .. } => measured.sparse.push((id.clone(), *stamp)),
-        Attempt::Unreadable(error) => measured.unreadable.push((id.clone(), *stamp, error)),
+        Attempt::Unreadable(error) => measured.unreadable.push((id.clone(), *stamp, unreadable(error))),
     }
 }
 

@@ -300,6 +300,16 @@ fn read_sample(file: &Path, index: usize, contents: &StepIndex) -> Result<Option
     Ok(packed.map(|(bytes, named)| StampedBytes { bytes, stamp: contents.stamp, named }))
 }
 
+/// The files besides its own from which a frame, which cannot be read, would be read.
+pub(crate) fn named_by_unreadable(frame: &Path) -> Option<Arc<NamedFiles>> {
+    let (file, step) = step_of(frame).map_or((frame, None), |(file, step)| (file, Some(step)));
+    let open = OpenContainer::open(file).ok()??;
+    let index = || Some(step_index(file).ok()?.index_of(step?).ok()?);
+    // The files that were wanted before an error are known.
+    let _ = open.packed(index().unwrap_or(0));
+    open.named_files()
+}
+
 /// The bytes of a step; `None` if the file was written, replaced or removed
 /// meanwhile.
 ///

@@ -250,6 +250,7 @@ fn superseded_lines_are_removed() {
 
 fn unfinished(name: &str, state: UnfinishedState, at_ms: u64) -> RecordLine {
     RecordLine::Unfinished(Arc::new(UnfinishedRecord {
+        named: None,
         name: name.into(),
         input: format!("/in/{name}.ply").into(),
         state,
