@@ -141,6 +141,9 @@ pub fn decompressed_so_far<'a>(bytes: &'a [u8], limits: &Limits) -> Result<(Cow<
     let mut content = Vec::new();
     match codec.decompress_into(&mut content, bytes, limits) {
         Err(error) if error.is_truncated() && !content.is_empty() => {
+            // The last line may end within a number.
+            let whole = content.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
+            content.truncate(whole);
             let note = format!("{error}: later steps are missing if its writer was stopped");
             Ok((content.into(), Some(note)))
         }

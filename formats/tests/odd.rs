@@ -27,7 +27,7 @@ fn odd_files_are_read_right_or_refused() {
         ("empty.usda", Err("no prims of the type Points or PointInstancer")),
         ("widths_constant.usda", Ok((300, "the radius is half of it"))),
         ("openpmd_mesh_only.h5", Err("expected a group with a data set `pos`")),
-        ("maxshape_wrong.h5", Err("the index of its chunks is for a larger maximal shape")),
+        ("maxshape_wrong.h5", Err("its maximal shape is larger than its shape")),
         // The first row is the count of those below.
         ("points.off", Ok((80, ""))),
         ("count_row_of_three.txt", Ok((960, ""))),
@@ -90,11 +90,12 @@ fn points_of_gltf_are_no_mesh() {
 fn points_of_gltf_have_attributes_and_are_placed() {
     let text = r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],
         "nodes":[{"mesh":0,"translation":[1,0,0],"scale":[2,2,2]}],
-        "meshes":[{"primitives":[{"attributes":{"POSITION":0,"_VELOCITY":0,"COLOR_0":1},"indices":2,"mode" :
+        "meshes":[{"primitives":[{"attributes":{"POSITION":0,"_VELOCITY":0,"COLOR_0":1,"_RADIUS":3},"indices":2,"mode" :
         0}]}],
         "accessors":[{"bufferView":0,"componentType":5126,"count":2,"type":"VEC3"},
         {"bufferView":1,"componentType":5121,"normalized":true,"count":2,"type":"VEC4"},
-        {"bufferView":2,"componentType":5121,"count":3,"type":"SCALAR"}],
+        {"bufferView":2,"componentType":5121,"count":3,"type":"SCALAR"},
+        {"bufferView":0,"byteOffset":12,"componentType":5126,"count":2,"type":"SCALAR"}],
         "bufferViews":[{"buffer":0,"byteLength":24},{"buffer":0,"byteOffset":24,"byteLength":8},
         {"buffer":0,"byteOffset":32,"byteLength":3}],
         "buffers":[{"byteLength":35,"uri":"data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAEAAAEBA/wAA/wD/AP8BAAE="}]}"#;
@@ -104,6 +105,7 @@ fn points_of_gltf_have_attributes_and_are_placed() {
     let of = |role| frame.attributes.iter().find(|found| found.role == Some(role)).map(|found| &found.values);
     let velocity = [2.0, 4.0, 6.0, 0.0, 0.0, 0.0, 2.0, 4.0, 6.0];
     assert_eq!(of(AttributeRole::Velocity), Some(&Values::F32(velocity.to_vec())));
+    assert_eq!(of(AttributeRole::Radius), Some(&Values::F32(vec![4.0, 2.0, 4.0])));
     let color = [0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0];
     assert_eq!(of(AttributeRole::Color), Some(&Values::F64(color.to_vec())));
     // Points beside triangles are no particles.
@@ -125,5 +127,31 @@ fn damaged_points_of_gltf_do_not_panic() {
             damaged[at] = value;
             let _ = read_particles(&damaged, "a.glb", &Limits::default());
         }
+    }
+}
+
+/// Words of a sentence are no names of columns.
+#[test]
+fn comments_above_numbers_are_no_headers() {
+    let rows = "0 0 0\n0.1 0 0\n0 0.1 0\n0 0 0.1\n";
+    for (comment, is_read) in [
+        ("# Dam break simulation", true),
+        ("# Created by CloudCompare", true),
+        ("// exported from Houdini", true),
+        ("# Time step output of solver", true),
+        ("# Frame exported from MySolver", true),
+        ("# time p1 p2", false),
+        ("# Time step output", false),
+        ("# u [m/s], p [Pa], t [s]", false),
+        ("# p v w", false),
+    ] {
+        let text = format!("{comment}\n{rows}");
+        let found = read_particles(text.as_bytes(), "a.txt", &Limits::default());
+        assert_eq!(found.is_ok(), is_read, "{comment}: {found:?}");
+        assert_eq!(looks_like_particles(text.as_bytes(), "a.txt"), is_read, "{comment}");
+        let columns = [("x", "1"), ("y", "2"), ("z", "3")].map(|(name, column)| (name.into(), column.into()));
+        let named =
+            meniscus_formats::read_particles_named(text.as_bytes(), "a.txt", &columns, &Limits::default());
+        assert_eq!(named.expect("named columns").positions.len(), 4, "{comment}");
     }
 }

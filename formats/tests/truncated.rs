@@ -116,8 +116,7 @@ fn truncated_vtk_files_are_short() {
 
 #[test]
 fn truncated_files_of_other_formats_are_short() {
-    // Raw positions have no declared count.
-    for (name, bytes) in fixtures::all().into_iter().filter(|(name, _)| !name.ends_with(".xyz")) {
+    for (name, bytes) in fixtures::all() {
         check_all_cuts(&name, &bytes);
         check_all_cuts(&name, &gzipped(&bytes));
     }
@@ -199,8 +198,11 @@ fn compressed_steps_without_an_end_are_read_with_a_note() {
         }
     }
     // A step that is not whole fails, and the others do not.
-    let whole = gzipped(text.as_bytes());
-    let torn = &whole[..whole.len() - 14];
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    // The last number is cut.
+    encoder.write_all(&text.as_bytes()[..text.trim_ascii_end().len() - 1]).unwrap();
+    encoder.flush().unwrap();
+    let torn = &**encoder.get_ref();
     let (content, _) = decompressed_so_far(torn, &limits).unwrap();
     let steps = find_steps(kind, &*content, &limits).unwrap();
     let mut outcomes = steps.iter().map(|step| {
@@ -208,7 +210,7 @@ fn compressed_steps_without_an_end_are_read_with_a_note() {
         read_particles(&bytes, "a", &limits).map(|frame| frame.notes.len())
     });
     assert_eq!(outcomes.next().unwrap().unwrap(), 0);
-    assert!(outcomes.all(|outcome| outcome.is_err_and(|error| error.is_truncated())));
+    assert!(outcomes.next().unwrap().is_err_and(|error| error.is_truncated()));
     // A file of one step.
     let packed = zstd_packed(fixtures::DUMP.as_bytes());
     for (bytes, is_open) in [(gzipped(fixtures::DUMP.as_bytes()), true), (packed, false)] {

@@ -268,13 +268,16 @@ fn invalid_legacy_lines_are_errors() {
 fn data_can_start_on_the_line_of_its_keyword() {
     let text = "# vtk DataFile Version 3.0\nt\nASCII\nDATASET POLYDATA\nPOINTS 3 float 0 0 0\n1 0 0 0 1 0\n\
         VERTICES 1 2 1 0\nPOLYGONS 1 4 3\n0 1 2\nPOINT_DATA 3\nVECTORS v float -1 2\n3 4 5 6 7 8 9\n\
-        FIELD f 1\nPOINTS 1 3 int 7 8\n9\nNORMALS n float\n0 0 1 0 0 1 0 0 1\n";
+        FIELD f 1\nPOINTS 1 3 int 7 8\n9\nNORMALS n float\n0 0 1 0 0 1 0 0 1\n\
+        SCALARS s int 1 4\n5 6\nSCALARS r int\nLOOKUP_TABLE default 1\n2 3\n";
     let frame = read_particles(text.as_bytes(), "a", &Limits::default()).expect("three points");
     assert_eq!(frame.positions, FilePositions::F32(vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]));
     let values = |name: &str| &frame.attributes.iter().find(|found| found.name == name).expect(name).values;
     assert_eq!(*values("v"), Values::F32(vec![-1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]));
     assert_eq!(*values("POINTS"), Values::I32(vec![7, 8, 9]));
     assert_eq!(*values("n"), Values::F32([0.0, 0.0, 1.0].repeat(3)));
+    assert_eq!(*values("s"), Values::I32(vec![4, 5, 6]));
+    assert_eq!(*values("r"), Values::I32(vec![1, 2, 3]));
     let mesh = meniscus_formats::vtk::read_legacy_mesh(text.as_bytes(), &Limits::default());
     assert_eq!(mesh.expect("a triangle").triangles, [[0, 1, 2]]);
 }

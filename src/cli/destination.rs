@@ -56,8 +56,10 @@ impl Destination {
         console: &mut Console,
     ) -> Result<(Destination, PathBuf, FormatArgs)> {
         let Some(out) = args.out.clone().or_else(|| args.print_settings.then(PathBuf::new)) else {
-            let last =
-                args.inputs.last().filter(|last| args.inputs.len() > 1 && file_extension(last).is_some());
+            let last = args
+                .inputs
+                .last()
+                .filter(|last| args.inputs.len() > 1 && file_extension(last).is_some() && !last.exists());
             let example =
                 last.map_or("--out surfaces".to_owned(), |last| format!("--out {}", last.display()));
             bail!("--out is missing: name a folder or a file for the results, as in {example}");
@@ -72,7 +74,7 @@ impl Destination {
             }
         } else if let Some(extension) = file_extension(&out) {
             let name = out.file_name().and_then(OsStr::to_str).unwrap_or_default();
-            let of_name = match NumberPattern::find(name) {
+            let of_name = match NumberPattern::find_in_new(name) {
                 Some(_) => Destination::pattern,
                 None => Destination::file,
             };

@@ -114,10 +114,8 @@ fn radius_hint(error: &clap::Error, arguments: &[OsString]) -> Option<String> {
     }
     let radius = arguments.iter().skip_while(|argument| *argument != "-r").nth(1);
     let radius: Option<f64> = radius.and_then(|text| text.to_str()?.parse().ok());
-    let spacing = radius.map_or("the distance of neighbours".to_owned(), |radius| significant(2.0 * radius));
-    Some(format!(
-        "hint: for particles of a radius, give their spacing, which is twice as much: --spacing {spacing}"
-    ))
+    let spacing = radius.map_or("D".to_owned(), |radius| significant(2.0 * radius));
+    Some(format!("hint: the spacing of particles is twice their radius: --spacing {spacing}"))
 }
 
 /// Runs the command in `arguments`, which begin with the program's name. The exit status is 0 if everything

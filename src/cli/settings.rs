@@ -254,14 +254,14 @@ pub(super) fn ignored(method: &MethodArgs, formats: &FormatArgs, written: &[Outp
         }
     }
     let has_unit = |format: &OutputFormat| format.has_option(WriteOption::MetersPerUnit);
+    let in_metres = written.iter().find(|format| matches!(format, OutputFormat::Glb | OutputFormat::Gltf));
     if formats.meters_per_unit.is_some_and(|meters| meters != 1.0)
         && written.iter().any(has_unit)
-        && written.contains(&OutputFormat::Glb)
+        && let Some(format) = in_metres
     {
-        warnings.push(
-            "--meters-per-unit does not scale .glb, whose unit is the metre: its mesh keeps world units"
-                .to_owned(),
-        );
+        warnings.push(format!(
+            "--meters-per-unit does not scale .{format}, whose unit is the metre: its mesh keeps world units"
+        ));
     }
     warnings
 }

@@ -93,9 +93,9 @@ const LIMITS: ClientLimits = ClientLimits {
 };
 
 /// Maximum number of connections beyond the others, which slow clients can fill, and how long each may take in all: so a
-/// health check is answered within a second.
-const BRIEF_MAX: usize = 128;
-const BRIEF_TIMEOUT: Duration = Duration::from_millis(400);
+/// health check is answered within a second, beside 1500 slow clients.
+const BRIEF_MAX: usize = 256;
+const BRIEF_TIMEOUT: Duration = Duration::from_millis(250);
 
 /// Maximum number of subscribers of events, which keep their connections.
 const SUBSCRIBERS_MAX: usize = 256;

@@ -196,20 +196,15 @@ impl FrameError {
 /// Whether a system error is one of the machine, and not of the path or the content of a file.
 pub(crate) fn is_error_of_machine(error: &io::Error) -> bool {
     use io::ErrorKind::{
-        InvalidData, InvalidFilename, InvalidInput, IsADirectory, NotADirectory, NotFound, PermissionDenied,
-        UnexpectedEof,
+        AddrInUse, AddrNotAvailable, InvalidData, InvalidFilename, InvalidInput, IsADirectory, NotADirectory,
+        NotFound, PermissionDenied, UnexpectedEof,
     };
-    !matches!(
+    let is_of_path = matches!(
         error.kind(),
-        NotFound
-            | NotADirectory
-            | IsADirectory
-            | InvalidFilename
-            | InvalidInput
-            | InvalidData
-            | UnexpectedEof
-            | PermissionDenied
-    )
+        NotFound | NotADirectory | IsADirectory | InvalidFilename | InvalidInput | PermissionDenied
+    );
+    let is_of_request = matches!(error.kind(), AddrInUse | AddrNotAvailable | InvalidData | UnexpectedEof);
+    !is_of_path && !is_of_request
 }
 
 fn panic_message(payload: &(dyn Any + Send)) -> String {

@@ -100,6 +100,7 @@ pub(crate) use input::measured_spacing::{Attempt, measure_sequence};
 pub use input::measured_spacing::{MeasuredSpacing, NoSpacing, measure_spacing, measured_by, preset_warning};
 pub use input::mesh_file::{MeshFile, is_mesh, read_scene_mesh};
 pub use input::obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
+pub(crate) use input::position_doubts::shared_position;
 pub use input::reading::{
     ParsedParticles, hash_of_input, parse_particles, particles, read_file, read_particles_of, refuse_foreign,
 };

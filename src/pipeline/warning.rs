@@ -379,8 +379,8 @@ impl fmt::Display for InputWarning {
             ),
             InputWarning::SharedPosition { count, particle_count, at: [x, y, z] } => write!(
                 f,
-                "{count} of {particle_count} particles are at ({x}, {y}, {z}), where solvers put inactive ones: they \
-                 become a drop"
+                "{count} of {particle_count} particles have the same position, ({x}, {y}, {z}), as inactive particles of \
+                 solvers do: they become a drop"
             ),
             InputWarning::Planar { axis, at } => write!(
                 f,

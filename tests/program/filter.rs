@@ -233,11 +233,32 @@ fn particles_at_one_position_are_named_and_left_out() {
         write_ply(&path.join("f.ply"), &positions.collect::<Vec<_>>());
         let convert = ["convert", "f.ply", "-o", "f.obj", "--spacing", "0.1"];
         let result = meniscus(path, &convert);
-        let words = "60 of 572 particles are at ";
+        let words = "60 of 572 particles have the same position, ";
+        assert!(meniscus(path, &["info", "f.ply"]).out.contains(words));
         let found = result.err.split(words).nth(1).unwrap_or_else(|| panic!("{}", result.err));
         let condition = found.split('\'').nth(1).unwrap_or_else(|| panic!("{found}"));
         let result = meniscus(path, &[&convert[..], &["--where", condition]].concat());
         assert!(result.status == 0 && result.out.contains("512 particles"), "{condition}: {}", result.out);
         assert!(!result.err.contains("inactive"), "{}", result.err);
+    }
+}
+
+/// Also if there are few of them, spread over the frame or together in the middle of it.
+#[test]
+fn few_particles_at_one_position_are_found() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    for is_spread in [true, false] {
+        let mut positions: Vec<[f64; 3]> = block(25, 0.0);
+        for index in 0..120 {
+            positions.insert(if is_spread { 128 * index } else { 8000 }, [0.0, -0.0, 0.0]);
+        }
+        write_ply(&path.join("f.ply"), &positions);
+        let result = meniscus(path, &["info", "f.ply"]);
+        assert!(
+            result.out.contains("of 15745 particles have the same position, (0, 0, 0)"),
+            "{}",
+            result.out
+        );
     }
 }

@@ -274,6 +274,10 @@ impl<'a> TableHead<'a> {
             return Ok(header.into_layout(delimiter, row.offset, row.number, notes));
         }
         check_column_count(count, naming.limits)?;
+        let written: Vec<String> = (0..count).map(column_name).collect();
+        if let Some(header) = naming.position_among(written.clone()) {
+            return Ok(header.into_layout(delimiter, row.offset, row.number, self.notes()));
+        }
         if let Some(line) = self.above
             && let Some(names) = names_above(line.text, delimiter, count)
         {
@@ -292,10 +296,6 @@ impl<'a> TableHead<'a> {
             return Err(Error::invalid(FORMAT, Position::Line(row.number), what));
         }
         let mut notes = self.notes();
-        let written: Vec<String> = (0..count).map(column_name).collect();
-        if let Some(header) = naming.position_among(written.clone()) {
-            return Ok(header.into_layout(delimiter, row.offset, row.number, notes));
-        }
         let first = FirstColumn::of(first_numbers(&bytes[row.offset..], delimiter), count);
         if first == FirstColumn::Unclear {
             let what = "the table has no header, and its first column has whole numbers, unlike those beside it: it may \
@@ -542,7 +542,8 @@ fn has_enough_cells(line: &[u8], delimiter: Delimiter) -> bool {
 }
 
 /// The names in the line above a row of `count` cells, behind any mark of a comment, if it can only be a header: a name
-/// for each cell, or a time first. Blanks are between its names only if they are between the numbers.
+/// for each cell, or a time first. Blanks are between its names only if they are between the numbers; behind a mark
+/// they may also be between the words of a sentence, so that one of them has to look like a name.
 fn names_above(line: &[u8], delimiter: Delimiter, count: usize) -> Option<Vec<String>> {
     let line = line.trim_ascii_start();
     let mark_count = line.iter().take_while(|byte| b"#%/!;".contains(byte)).count();
@@ -551,13 +552,28 @@ fn names_above(line: &[u8], delimiter: Delimiter, count: usize) -> Option<Vec<St
     let starts = [mark_count, 0].into_iter().filter(|&start| start == mark_count || line.starts_with(b";"));
     let texts =
         starts.flat_map(|start| DELIMITERS.into_iter().filter(is_possible).map(move |other| (start, other)));
-    texts.filter_map(|(start, other)| names_in(&line[start..], other, &Limits::default()).ok()).find(
-        |names| {
-            let is_of_time = mark_count > 0 && names.first().is_some_and(|name| super::is_time(name));
-            let is_text = |name: &String| parse_cell(name.as_bytes()) == CellValue::Text;
-            (names.len() == count || is_of_time) && names.iter().all(is_text)
-        },
-    )
+    let named = texts.filter_map(|(start, other)| {
+        Some((start, other, names_in(&line[start..], other, &Limits::default()).ok()?))
+    });
+    let mut headers = named.filter(|(start, other, names)| {
+        let is_of_time = names.first().is_some_and(|name| super::is_time(name));
+        let is_text = |name: &String| parse_cell(name.as_bytes()) == CellValue::Text;
+        let is_header = match (start, other) {
+            (0, _) => names.len() == count,
+            (_, Delimiter::Blanks) => {
+                names.len() == count && (is_of_time || names.iter().any(|name| is_no_word(name)))
+            }
+            _ => names.len() == count || is_of_time,
+        };
+        is_header && names.iter().all(is_text)
+    });
+    headers.next().map(|(_, _, names)| names)
+}
+
+/// Whether a text is the name of a column rather than a word: one letter, or with a unit, a digit or an underscore.
+fn is_no_word(name: &str) -> bool {
+    let is_letter = name.len() == 1 && !name.eq_ignore_ascii_case("a");
+    is_letter || name.contains(['[', '(', '_']) || name.contains(|letter: char| letter.is_ascii_digit())
 }
 
 fn has_letters(text: &[u8]) -> bool {

@@ -5,12 +5,11 @@ use ::gltf::{Primitive, Semantic};
 
 use super::read::{Buffers, OpenDocument, invalid, open, placed_meshes, scale_of, spend};
 use super::{ARITY_MAX, FORMAT, VALUE_BYTES, values_of};
-use crate::columns::role_of;
-use crate::data::{AttributeRole, ParticleFrame, Values};
+use crate::data::{ParticleFrame, Values};
 use crate::error::{Error, Result};
 use crate::limits::Limits;
-use crate::matrix::{IDENTITY, Matrix, change_vectors, normal_transform, transformed};
-use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
+use crate::matrix::{IDENTITY, Matrix, change_vectors, transformed};
+use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts, placed};
 use crate::number::{gathered, positions, wide};
 use crate::row::{FormatRow, ParticleReader};
 
@@ -40,14 +39,16 @@ fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     for (mesh, placement) in placed_meshes(&document, &transforms)? {
         for primitive in mesh.primitives() {
             if primitive.mode() == Mode::Points {
-                parts.extend(part(&primitive, &placement, &buffers, &mut budget)?);
+                parts.extend(part(&primitive, &placement, &buffers, &mut budget, &mut notes)?);
                 count += parts.last().map_or(0, |part| part.positions.len() as u64);
                 limits.check_particles(FORMAT, count)?;
-            } else if notes.is_empty() {
+            } else {
                 notes.push("skipped the lines and triangles of the file".to_owned());
             }
         }
     }
+    notes.sort();
+    notes.dedup();
     if parts.is_empty() {
         return Err(Error::unsupported(FORMAT, crate::MESH_REFUSAL));
     }
@@ -60,6 +61,7 @@ fn part(
     placement: &Matrix,
     buffers: &Buffers,
     budget: &mut u64,
+    notes: &mut Vec<String>,
 ) -> Result<Option<ParticlePart>> {
     let indices = primitive.indices().map(|indices| buffers.indices(&indices)).transpose()?;
     let (mut arrays, mut found) = (Vec::new(), None);
@@ -96,16 +98,10 @@ fn part(
         // `_RADIUS` and `COLOR_0`
         let name = semantic.to_string();
         let name = name.trim_start_matches('_').trim_end_matches("_0").to_owned();
-        if *placement != IDENTITY {
-            match role_of(&name, arity) {
-                Some(AttributeRole::Velocity | AttributeRole::Acceleration) => {
-                    change_vectors(&mut values, |vector| transformed(placement, vector, 0.0));
-                }
-                Some(AttributeRole::Normal) => change_vectors(&mut values, normal_transform(placement)),
-                _ => {}
-            }
-        }
         arrays.push(NamedArray { name, arity, values });
+    }
+    if *placement != IDENTITY {
+        placed(&mut arrays, placement, "a node", notes);
     }
     Ok(found.map(|positions| ParticlePart { positions, arrays }))
 }

@@ -343,7 +343,8 @@ impl HdfTable {
 fn table_of(name: &str, data: Dataset) -> std::result::Result<(HdfTable, Vec<String>), String> {
     if has_wider_index(&data) {
         return Err(
-            "the index of its chunks is for a larger maximal shape: save it with maxshape=None".into()
+            "its maximal shape is larger than its shape, and may number its chunks: save it with maxshape=None"
+                .into()
         );
     }
     let shape = data.shape().to_vec();
@@ -434,7 +435,8 @@ fn is_axis(data: &Dataset) -> bool {
 }
 
 /// Whether the index of the chunks can number them by a maximal shape, where `hdf5-reader` takes the shape: one without
-/// unlimited dimensions that has more chunks in a dimension other than the first.
+/// unlimited dimensions that has more chunks in a dimension other than the first. A fixed array does, and a B-tree does
+/// not; `hdf5-reader` does not tell which of them the index is.
 fn has_wider_index(data: &Dataset) -> bool {
     let (Some(chunks), Some(largest)) = (data.chunks(), data.max_dims()) else { return false };
     let count = |length: u64, chunk: u32| length.div_ceil(u64::from(chunk).max(1));

@@ -21,8 +21,8 @@ use crate::data::{AttributeRole, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::gltf::SEQUENCE_FRAMES;
 use crate::limits::Limits;
-use crate::matrix::{IDENTITY, Matrix, change_vectors, determinant, normal_transform, transformed};
-use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
+use crate::matrix::{IDENTITY, change_vectors, transformed};
+use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts, placed};
 use crate::number;
 use crate::row::{FormatRow, ParticleReader};
 use crate::text::{excerpt, excerpts};
@@ -219,7 +219,7 @@ fn read_prim(
     let mut arrays = attributes(stage, prim, (count, time), is_skipped, notes)?;
     drop_copied_ids(&mut arrays);
     if matrix != IDENTITY {
-        turn(&mut arrays, &matrix, prim, notes);
+        placed(&mut arrays, &matrix, &prim.path, notes);
         let moves = !stage.transform_codes(prim)?.is_empty();
         if moves
             && arrays.iter().any(|array| role_of(&array.name, array.arity) == Some(AttributeRole::Velocity))
@@ -241,32 +241,6 @@ fn drop_copied_ids(arrays: &mut Vec<NamedArray>) {
         && ids.iter().copied().eq(copied.iter().map(|id| i64::from(*id)))
     {
         arrays.remove(copy);
-    }
-}
-
-/// Applies a transform to vectors and widths.
-fn turn(arrays: &mut [NamedArray], matrix: &Matrix, prim: &StagePrim, notes: &mut Vec<String>) {
-    for NamedArray { name, arity, values } in arrays {
-        match role_of(name, *arity) {
-            Some(AttributeRole::Velocity | AttributeRole::Acceleration) => {
-                change_vectors(values, |vector| transformed(matrix, vector, 0.0));
-            }
-            Some(AttributeRole::Normal) => change_vectors(values, normal_transform(matrix)),
-            Some(AttributeRole::Radius) => {
-                let scale = determinant(matrix).abs().cbrt();
-                let mut rows = matrix.iter().take(3).map(|row| row.iter().map(|x| x * x).sum::<f64>().sqrt());
-                if rows.any(|length| (length - scale).abs() > 1e-6 * scale) {
-                    notes.push(format!(
-                        "{} has different scales along its axes: its widths have their mean",
-                        excerpt(&prim.path)
-                    ));
-                }
-                if (scale - 1.0).abs() > 1e-9 {
-                    values.scale(scale);
-                }
-            }
-            _ => {}
-        }
     }
 }
 

@@ -219,6 +219,7 @@ impl<'a> File<'a> {
             "SCALARS" => {
                 let (name, kind) = three(1);
                 let arity = if line.words.len() > 3 { line.count(3, "the number of components")? } else { 1 };
+                self.back_to_data(line, 4);
                 self.skip_table_name()?;
                 self.array(line, name, kind, arity, found)
             }
@@ -536,7 +537,7 @@ impl<'a> File<'a> {
             return Ok(());
         }
         match self.line()? {
-            Some(line) if line.keyword() == "LOOKUP_TABLE" => {}
+            Some(line) if line.keyword() == "LOOKUP_TABLE" => self.back_to_data(&line, 2),
             _ => self.at = before,
         }
         Ok(())

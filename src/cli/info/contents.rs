@@ -10,7 +10,7 @@ use meniscus_formats::{AttributeRole, FileAttribute, MeshData, ParticleFrame, Va
 use serde::Serialize;
 
 use crate::cli::wording::{shortest, significant};
-use crate::pipeline::{MeasuredSpacing, SEQUENCE_POINTS, particles};
+use crate::pipeline::{InputWarning, MeasuredSpacing, SEQUENCE_POINTS, particles, shared_position};
 use crate::surface::options::Preset;
 use crate::surface::particles::OwnedPositions;
 
@@ -75,15 +75,20 @@ enum PrintedNumber {
 }
 
 impl ParticlesInfo {
-    /// `measured` is the spacing that `convert` would measure on this frame alone.
-    pub(super) fn of(frame: ParticleFrame, measured: Option<&MeasuredSpacing>) -> ParticlesInfo {
+    /// `measured` is the spacing that `convert` would measure on this frame alone. Also returns a warning about a
+    /// position that many particles share.
+    pub(super) fn of(
+        frame: ParticleFrame,
+        measured: Option<&MeasuredSpacing>,
+    ) -> (ParticlesInfo, Option<InputWarning>) {
         let attributes = attributes_of(&frame.attributes);
         let particles = particles(frame.positions);
+        let Ok(shared) = shared_position(&particles);
         let positions = || (0..particles.len()).map(|index| particles.position(index));
         let bounds = BoundingBox::of(positions().map(|position| position.to_array()));
         let irregularity = measured.and_then(|measured| measured.irregularity);
         let preset = Preset::for_fluid(irregularity);
-        ParticlesInfo {
+        let info = ParticlesInfo {
             count: particles.len(),
             position_type: match particles {
                 OwnedPositions::F32(_) => "f32",
@@ -100,7 +105,8 @@ impl ParticlesInfo {
             irregularity,
             suggested_preset: irregularity.map(|_| preset),
             suggested_voxel_size: measured.map(|measured| preset.voxel_size(measured.spacing)),
-        }
+        };
+        (info, shared)
     }
 }
 

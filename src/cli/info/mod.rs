@@ -227,7 +227,9 @@ impl FileInfo {
         self.notes.clone_from(&frame.notes);
         let reading = ReadOptions { columns: columns.cloned(), filter: None };
         let measured = measure_spacing([path], &SpacingOptions { reading, ..SpacingOptions::default() }).ok();
-        self.particles = Some(ParticlesInfo::of(frame, measured.as_ref()));
+        let (particles, shared) = ParticlesInfo::of(frame, measured.as_ref());
+        self.particles = Some(particles);
+        self.notes.extend(shared.map(|warning| warning.to_string()));
         Ok(())
     }
 

@@ -40,6 +40,12 @@ impl<'a> NumberPattern<'a> {
         })
     }
 
+    /// Like [`find`](Self::find), but a lone `#` is a letter of the name.
+    pub fn find_in_new(name: &'a str) -> Option<NumberPattern<'a>> {
+        NumberPattern::find(name)
+            .filter(|found| found.width_min > 1 || !name[found.before.len()..].starts_with('#'))
+    }
+
     /// The name with this number, padded to the minimum width as printf does.
     pub fn name_of(&self, number: i64) -> String {
         let width = self.width_min;

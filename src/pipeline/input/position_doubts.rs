@@ -1,5 +1,5 @@
-//! Looks for likely mistakes in the positions of a frame: none is finite, all are in a plane, or they were
-//! rounded.
+//! Looks for likely mistakes in the positions of a frame: none is finite, all are in a plane, they were rounded, or many
+//! are the same.
 
 use std::collections::HashMap;
 
@@ -16,8 +16,8 @@ use super::frame_input::FrameInput;
 use crate::pipeline::error::Cause;
 use crate::pipeline::warning::{InputWarning, Warning};
 
-/// Warnings about the positions. Reads only the first batch, unless that is in a plane or has no finite
-/// position.
+/// Warnings about the positions. Reads some batches, and all of them if those are in a plane, have no finite position, or
+/// have positions that several particles share.
 ///
 /// # Errors
 /// Those of reading the particles; if there are particles, and none has a finite position.
@@ -31,7 +31,7 @@ pub(crate) fn position_doubts(particles: &FrameInput, settings: &Settings) -> Re
     if step > ROUNDING_SHARE_MAX * settings.spacing {
         warnings.push(Warning::Input(InputWarning::RoundedParticles { step, spacing: settings.spacing }));
     }
-    warnings.extend(shared_position(particles, &first)?.map(Warning::Input));
+    warnings.extend(shared_position(particles)?.map(Warning::Input));
     let of_first = box_of_batch(&first);
     if of_first.is_none_or(|bounds| flat_axis(bounds).is_some()) {
         let Some(bounds) = box_of_all_particles(particles)? else {
@@ -46,33 +46,46 @@ pub(crate) fn position_doubts(particles: &FrameInput, settings: &Settings) -> Re
     Ok(warnings)
 }
 
-/// The position that most particles of the first or the last batch share, if it is that of many: solvers put inactive
-/// particles there.
-fn shared_position(particles: &FrameInput, first: &Positions<'_>) -> Result<Option<InputWarning>, Cause> {
-    let is_many = |count: usize, of: usize| count >= PARKED_MIN && (count as f64) > PARKED_SHARE * of as f64;
-    let bits = |position: DVec3| position.to_array().map(f64::to_bits);
-    let last = particles.batch_count() - 1;
-    let last = (last > 0).then(|| particles.batch(last)).transpose()?;
-    for positions in [Some(first), last.as_ref()].into_iter().flatten() {
-        let mut counts: HashMap<[u64; 3], usize> = HashMap::new();
-        for index in 0..positions.len() {
-            *counts.entry(bits(positions.position(index))).or_default() += 1;
-        }
-        let most = counts.into_iter().max_by_key(|&(position, count)| (count, position));
-        let Some((shared, _)) = most.filter(|(_, count)| is_many(*count, positions.len())) else { continue };
-        let count_in = |batch| -> Result<usize, Cause> {
-            let positions = particles.batch(batch)?;
-            Ok((0..positions.len()).filter(|&index| bits(positions.position(index)) == shared).count())
-        };
-        let counts = (0..particles.batch_count()).into_par_iter().map(count_in);
-        let count = counts.try_reduce(|| 0, |one, other| Ok(one + other))?;
-        let (particle_count, at) = (particles.len(), shared.map(f64::from_bits));
-        if is_many(count, particle_count) && at.iter().all(|along| along.is_finite()) {
-            return Ok(Some(InputWarning::SharedPosition { count, particle_count, at }));
-        }
+/// The position that many particles share, if there is one: solvers put inactive particles there. It is found by
+/// particles that are spread evenly over the frame.
+///
+/// # Errors
+/// Those of reading the particles.
+pub(crate) fn shared_position<S: ParticleSource>(particles: &S) -> Result<Option<InputWarning>, S::Error> {
+    // Of −0 and 0, the sum with 0 is 0.
+    let bits = |position: DVec3| (position + DVec3::ZERO).to_array().map(f64::to_bits);
+    let batch_count = particles.batch_count();
+    let particle_count: usize = (0..batch_count).map(|batch| particles.batch_len(batch)).sum();
+    let sampled_count = batch_count.clamp(1, SAMPLED_BATCHES_MAX);
+    let of_batch = SAMPLED_MAX / sampled_count;
+    let sample = |index: usize| -> Result<Vec<[u64; 3]>, S::Error> {
+        let positions = particles.batch(index * batch_count / sampled_count)?;
+        let step = positions.len().div_ceil(of_batch).max(1);
+        Ok((0..positions.len()).step_by(step).map(|index| bits(positions.position(index))).collect())
+    };
+    let samples: Vec<Vec<[u64; 3]>> =
+        (0..sampled_count.min(batch_count)).into_par_iter().map(sample).collect::<Result<_, _>>()?;
+    let mut counts: HashMap<[u64; 3], usize> = HashMap::new();
+    for position in samples.into_iter().flatten() {
+        *counts.entry(position).or_default() += 1;
     }
-    Ok(None)
+    let most = counts.into_iter().max_by_key(|&(position, count)| (count, position));
+    let Some((shared, _)) = most.filter(|(_, count)| *count > 1) else { return Ok(None) };
+    let count_in = |batch| -> Result<usize, S::Error> {
+        let positions = particles.batch(batch)?;
+        Ok((0..positions.len()).filter(|&index| bits(positions.position(index)) == shared).count())
+    };
+    let count =
+        (0..batch_count).into_par_iter().map(count_in).try_reduce(|| 0, |one, other| Ok(one + other))?;
+    let at = shared.map(f64::from_bits);
+    let is_many = count >= PARKED_MIN && count as f64 > PARKED_SHARE * particle_count as f64;
+    let is_parked = is_many && at.iter().all(|along| along.is_finite());
+    Ok(is_parked.then_some(InputWarning::SharedPosition { count, particle_count, at }))
 }
+
+/// The numbers of batches and of particles in which a shared position is looked for.
+const SAMPLED_BATCHES_MAX: usize = 1 << 10;
+const SAMPLED_MAX: usize = 1 << 14;
 
 /// So many particles at one position, and more than this part of the frame, are inactive ones.
 const PARKED_MIN: usize = 8;

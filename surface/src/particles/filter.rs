@@ -97,6 +97,10 @@ impl ParticleFilter {
         positions: &Positions<'_>,
         attributes: &[Attribute],
     ) -> Result<(OwnedPositions, Vec<Attribute>), String> {
+        if self.needed(attributes).is_ok() {
+            let mask = self.mask(attributes, positions.len())?;
+            return Ok(rows_of(positions, attributes, &mask));
+        }
         let mut all = attributes.to_vec();
         all.extend(coordinates(attributes));
         for index in self.needed(&all)?.into_iter().filter(|index| *index >= attributes.len()) {

@@ -131,7 +131,7 @@ fn watch_of_block(args: &WatchArgs, keys: &WatchKeys, warnings: &mut Vec<String>
 
 fn check_input(input: &Path, once: bool) -> Result<()> {
     let name = input.file_name().and_then(OsStr::to_str).unwrap_or_default();
-    let by_number = NumberPattern::find(name);
+    let by_number = NumberPattern::find_in_new(name);
     if !input.exists() && (name.contains(['*', '?']) || by_number.is_some()) {
         let pattern = by_number.map_or(name.to_owned(), |found| format!("{}*{}", found.before, found.after));
         let folder = input.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
