@@ -256,6 +256,11 @@ pub(super) fn refuse_stdout(out: &Path) -> Result<()> {
 /// # Errors
 /// If the path [names a file](names_file). The message says what to write instead.
 fn refuse_other_extension(out: &Path) -> Result<()> {
+    let file_name = out.file_name().and_then(OsStr::to_str).unwrap_or_default();
+    if NumberPattern::find_in_new(file_name).is_some() && !is_existing_or_named_folder(out) {
+        let name = out.display();
+        bail!("{name}: the names of results need an extension, such as {name}.glb; for a folder of this name, write {name}/");
+    }
     if !names_file(out) {
         return Ok(());
     }

@@ -102,8 +102,11 @@ fn remedy(warning: &Warning) -> Option<String> {
         Warning::Frame(FrameWarning::NotConverged | FrameWarning::CflExceeded { .. }) => {
             "choose a smaller --step-size".to_owned()
         }
-        Warning::Input(InputWarning::SmallRadii { radius_min, .. }) => {
-            format!("--voxel-size {} or less resolves all of them", rounded_down(radius_min / 3f64.sqrt()))
+        Warning::Input(InputWarning::SmallRadii { voxel_size, .. }) => {
+            format!("--voxel-size {} or less resolves all of them", rounded_down(*voxel_size))
+        }
+        Warning::Input(InputWarning::LargeRadii { voxel_size, .. }) => {
+            format!("--voxel-size {} or more keeps the radii of all", significant(voxel_size * 1.001))
         }
         Warning::Frame(FrameWarning::CoarsePositions { format: Some(format), .. }) => {
             format!("leave {format} out of --format")

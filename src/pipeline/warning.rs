@@ -103,12 +103,12 @@ pub enum InputWarning {
     Planar { axis: char, at: f64 },
     /// Many particles have one position.
     SharedPosition { count: usize, particle_count: usize, at: [f64; 3] },
-    /// Radii too small for the grid. `radius_min` is the smallest one, in world units.
-    SmallRadii { count: usize, radius_min: f64 },
+    /// Radii too small for the grid. `voxel_size` is the largest that resolves all, in world units.
+    SmallRadii { count: usize, voxel_size: f64 },
     /// Radii that are not positive numbers.
     InvalidRadii { count: usize },
-    /// Radii too large for the grid.
-    LargeRadii { count: usize },
+    /// Radii too large for the grid. `voxel_size` is the smallest at which none is, in world units.
+    LargeRadii { count: usize, voxel_size: f64 },
     /// Particles without a finite velocity, which could not be stretched along it.
     NotStretched { count: usize },
     /// Attribute values that are not finite, and were ignored.
@@ -388,14 +388,14 @@ impl fmt::Display for InputWarning {
                 significant(*at)
             ),
             InputWarning::SmallRadii { count, .. } => {
-                write!(f, "{} too small for the grid: their radius was set to the smallest that it resolves", particles(count))
+                write!(f, "{} too small for the grid, with the smallest radius that it resolves instead of their own", particles(count))
             }
             InputWarning::InvalidRadii { count } => write!(
                 f,
                 "{} without a radius that is a positive number: the smallest radius is used",
                 particles(count)
             ),
-            InputWarning::LargeRadii { count } => {
+            InputWarning::LargeRadii { count, .. } => {
                 write!(f, "{} too large for the grid: the largest possible radius is used", particles(count))
             }
             InputWarning::NotStretched { count } => {
@@ -638,8 +638,8 @@ mod tests {
         let missing =
             |name: &str| InputWarning::MissingAttribute { name: name.to_owned(), available: vec![] };
         for (warning, is_new) in [
-            (Warning::Input(InputWarning::SmallRadii { count: 1, radius_min: 0.1 }), true),
-            (Warning::Input(InputWarning::SmallRadii { count: 2, radius_min: 0.2 }), false),
+            (Warning::Input(InputWarning::SmallRadii { count: 1, voxel_size: 0.1 }), true),
+            (Warning::Input(InputWarning::SmallRadii { count: 2, voxel_size: 0.2 }), false),
             (Warning::Input(InputWarning::InvalidRadii { count: 1 }), true),
             (Warning::Input(missing("v1")), true),
             (Warning::Input(missing("v2")), true),

@@ -77,11 +77,13 @@ pub struct ShapeStats {
     /// Particles whose own radius is too small for the grid; it was raised to 1.1·h, or √3·h with spheres.
     #[serde(rename = "small_radii")]
     pub small_radius_count: usize,
-    /// The smallest of these radii before it was raised, times the radius scale, world units; 0 if none was raised.
-    pub small_radius_min: f64,
+    /// The largest voxel size that resolves them, in world units; 0 if there are none.
+    pub small_voxel_size: f64,
     /// Particles whose r_max was lowered to the largest allowed.
     #[serde(rename = "large_radii")]
     pub large_radius_count: usize,
+    /// The smallest voxel size at which none of them is, in world units.
+    pub large_voxel_size: f64,
     /// Particles whose own radius is invalid; they get the smallest radius.
     #[serde(rename = "invalid_radii")]
     pub invalid_radius_count: usize,

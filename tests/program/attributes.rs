@@ -240,9 +240,9 @@ fn voxel_size_is_small_enough_for_radii_from_a_column() {
     assert_eq!(settings["radius_median"].as_f64(), Some(f64::from(0.05f32)));
     assert_eq!(report["frames"][0]["shapes"]["small_radii"], 20);
     assert!(result.err.contains("20 particles too small for the grid"), "{}", result.err);
-    assert!(result.err.contains("--voxel-size 0.0173 or less resolves all of them"), "{}", result.err);
+    assert!(result.err.contains("--voxel-size 0.0272 or less resolves all of them"), "{}", result.err);
     // The voxel size in the warning is small enough. The daemon (below) measures the same.
-    let result = meniscus(folder, &[&typed[..], &["--voxel-size", "0.0173"]].concat());
+    let result = meniscus(folder, &[&typed[..], &["--voxel-size", "0.0272"]].concat());
     assert_eq!(result.status, 0);
     // Position smoothing would move the particles by more than the radius of such small balls.
     assert!(result.err.lines().all(|line| line.contains("are outside the surface")), "{}", result.err);
@@ -567,4 +567,28 @@ fn far_particle_does_not_move_other_vertices() {
     let short = vertices("10.5");
     assert!(short.len() > 100);
     assert_eq!(vertices("10.500000123"), short);
+}
+
+/// A drop beside a large one does not stretch it, at any distance.
+#[test]
+fn large_drop_stays_a_ball_beside_a_small_one() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    for distance in [0.11, 0.125, 0.14, 0.16] {
+        fs::write(folder.join("f.csv"), format!("x,y,z,r\n0,0,0,0.025\n{distance},0,0,0.1\n"))
+            .expect("written");
+        let typed = ["convert", "f.csv", "-o", "f.obj", "--radius-attribute", "r", "--spacing", "0.05"];
+        let result = meniscus(folder, &typed);
+        assert_eq!(result.status, 0, "{}", result.err);
+        let text = fs::read_to_string(folder.join("f.obj")).expect("there");
+        let rows = text.lines().filter_map(|line| line.strip_prefix("v "));
+        let vertices =
+            rows.map(|row| -> Vec<f64> { row.split(' ').map(|x| x.parse().expect("a number")).collect() });
+        let far = vertices.clone().map(|vertex| vertex[0]).fold(0.0, f64::max);
+        let wide = vertices.map(|vertex| vertex[1].hypot(vertex[2])).fold(0.0, f64::max);
+        assert!(
+            (far - distance - 0.1).abs() < 0.008 && (wide - 0.1).abs() < 0.008,
+            "{distance}: {far} {wide}"
+        );
+    }
 }

@@ -88,13 +88,13 @@ option_set! {
         #[arg(required_unless_present = "print_settings", value_name = "INPUT")]
         pub(super) inputs: Vec<PathBuf>,
 
-        /// Folder for the results; for a single frame also a file such as dam.glb, or - for the standard
+        /// Folder for the results; names such as dam.####.glb; for a single frame also a file, or - for the standard
         /// output
         ///
         /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is created. If PATH is a file, its
         /// extension selects the format. To create a folder with a name like that of a file, end it with a slash:
-        /// shot.obj/. A name such as surf/water.####.glb or out_{}.ply names the results of a sequence with the
-        /// numbers of its frames; more formats by --format. Files are written under temporary names, and renamed
+        /// shot.obj/. A name such as surf/water.####.glb, out_{:04}.ply or out_%04d.ply names the results of a
+        /// sequence with the numbers of its frames, in this format or those of --format. Files are written under temporary names, and renamed
         /// when they are complete. Existing files with these names are replaced, except inputs, and .ply, .vtp and
         /// .vdb files of other programs.
         #[arg(short, long, value_name = "PATH")]

@@ -51,12 +51,12 @@ pub(crate) fn path_of_named(folder: &Path, named: &str) -> io::Result<PathBuf> {
     Err(io::Error::new(io::ErrorKind::InvalidInput, what))
 }
 
-/// A hash of the paths and the stamps of files, apart from times of status changes: `None` for a file that is missing.
+/// A hash of the paths and the stamps of files: `None` for a file that is missing.
 pub(crate) fn state_of_files<'a>(files: impl Iterator<Item = (&'a str, Option<FileStamp>)>) -> u128 {
     let mut hasher = Hasher::new();
     for (path, stamp) in files {
         hasher.write(path.as_bytes());
-        hasher.write(format!("\0{:?}\0", stamp.map(|stamp| stamp.without_status_change())).as_bytes());
+        hasher.write(format!("\0{stamp:?}\0").as_bytes());
     }
     hasher.finish_128()
 }

@@ -120,7 +120,10 @@ impl OpenContainer {
         let files: Vec<(&str, Option<FileStamp>)> = paths.iter().map(|path| stamped(&**path)).collect();
         let sizes = files.iter().map(|(_, stamp)| stamp.map_or(0, |stamp| stamp.size));
         let bytes = sizes.fold(0, u64::saturating_add);
-        (state_of_files(files.into_iter()), bytes.saturating_mul(PACKED_FACTOR))
+        // A hard link, such as that of a backup, changes no frame.
+        let lasting =
+            files.into_iter().map(|(path, stamp)| (path, stamp.map(|stamp| stamp.without_status_change())));
+        (state_of_files(lasting), bytes.saturating_mul(PACKED_FACTOR))
     }
 
     /// The packed bytes of a frame, and the files that it was read from besides this one; `None` if one of the files

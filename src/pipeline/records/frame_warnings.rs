@@ -40,14 +40,15 @@ fn format_with_world_positions(output: &Path) -> Option<OutputFormat> {
 fn shape_warnings(report: &ReconstructionReport) -> impl Iterator<Item = InputWarning> {
     let ShapeStats { small_radius_count, invalid_radius_count, large_radius_count, ball_count, .. } =
         report.shapes;
-    let radius_min = report.shapes.small_radius_min;
+    let [small, large] = [report.shapes.small_voxel_size, report.shapes.large_voxel_size];
     // If the neighbour search found near particles, isolated ones are normal.
     let is_unstretched = report.shapes.near_count == 0 && 2 * ball_count > report.particle_count;
     let warnings = [
         (small_radius_count > 0)
-            .then_some(InputWarning::SmallRadii { count: small_radius_count, radius_min }),
+            .then_some(InputWarning::SmallRadii { count: small_radius_count, voxel_size: small }),
         (invalid_radius_count > 0).then_some(InputWarning::InvalidRadii { count: invalid_radius_count }),
-        (large_radius_count > 0).then_some(InputWarning::LargeRadii { count: large_radius_count }),
+        (large_radius_count > 0)
+            .then_some(InputWarning::LargeRadii { count: large_radius_count, voxel_size: large }),
         is_unstretched.then_some(InputWarning::NotStretched { count: ball_count }),
     ];
     warnings.into_iter().flatten()

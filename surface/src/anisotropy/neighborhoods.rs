@@ -228,14 +228,40 @@ impl ParticleRun<'_> {
         let count = find_within::<V>(eights, at, within);
         let within = &within[..count];
         if self.config.stretch.is_none() {
-            let sums = moments::<V, FIRST_MOMENT_COUNT>(eights, at, within);
+            let sums = self.moments::<V, FIRST_MOMENT_COUNT>(slot, eights, within);
             if is_in_full_company(sums[0], self.weight_scale(slot)) {
                 let mut moments = [0.0; MOMENT_COUNT];
                 moments[..FIRST_MOMENT_COUNT].copy_from_slice(&sums);
                 return (moments, count);
             }
         }
-        (moments::<V, MOMENT_COUNT>(eights, at, within), count)
+        (self.moments::<V, MOMENT_COUNT>(slot, eights, within), count)
+    }
+
+    /// The first `COUNT` moments around the particle in this slot, in units of the radius, of the particles `within` it. A
+    /// smaller particle counts by its volume: it neither accompanies nor stretches a large one.
+    #[inline(always)]
+    fn moments<V: Lanes, const COUNT: usize>(
+        &self,
+        slot: usize,
+        eights: &[Particle8],
+        within: &[u32],
+    ) -> [f32; COUNT] {
+        let (at, own) = (self.position(slot), self.scale(slot));
+        let mut sums = [V::splat(0.0); COUNT];
+        for indices in within.chunks(8) {
+            let mut particles = ParticlePacket::NONE;
+            particles.take(eights, indices);
+            if self.scales.is_some() {
+                for (multiplicity, &index) in particles.multiplicity.iter_mut().zip(indices) {
+                    let particle = eights[index as usize / 8].indices[index as usize % 8];
+                    let size = (scale_of(self.scales, particle as usize) / own).min(1.0);
+                    *multiplicity *= size * size * size;
+                }
+            }
+            add_moments(&mut sums, &particles, at);
+        }
+        sums.map(total)
     }
 
     /// Gives a particle the weight of its kernel: one over the sum at its centre of the kernels of the particles
@@ -327,24 +353,6 @@ pub(super) const MOMENT_COUNT: usize = 10;
 
 /// Number of the first of them, from which the mean follows.
 const FIRST_MOMENT_COUNT: usize = 4;
-
-/// The first `COUNT` moments around a particle at `at`, in units of the radius, of the particles `within` it.
-#[inline(always)]
-fn moments<V: Lanes, const COUNT: usize>(eights: &[Particle8], at: Vec3, within: &[u32]) -> [f32; COUNT] {
-    let (full, rest) = within.as_chunks::<8>();
-    let mut sums = [V::splat(0.0); COUNT];
-    for indices in full {
-        let mut particles = ParticlePacket::NONE;
-        particles.take(eights, indices);
-        add_moments(&mut sums, &particles, at);
-    }
-    if !rest.is_empty() {
-        let mut particles = ParticlePacket::NONE;
-        particles.take(eights, rest);
-        add_moments(&mut sums, &particles, at);
-    }
-    sums.map(total)
-}
 
 /// Writes the indices of the particles within the radius to the front of `within`. Returns their number.
 #[inline(always)]

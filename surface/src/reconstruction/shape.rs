@@ -349,12 +349,16 @@ pub(super) fn scales(
         radius_scales(&radii, own.scale, settings.unit_own_radius(), resolved_radius(settings));
     shape_stats.small_radius_count = raised_count;
     if raised_count > 0 {
-        shape_stats.small_radius_min = own.radii_min(attributes).into_iter().reduce(f64::min).unwrap_or(0.0);
+        let least = own.radii_min(attributes).into_iter().reduce(f64::min).unwrap_or(0.0);
+        let unit = settings.unit_radius() / settings.unit_own_radius();
+        shape_stats.small_voxel_size = least * unit / settings.start.resolved_voxels();
     }
     shape_stats.invalid_radius_count = invalid_count;
     let most = ((RADIUS_MAX_VOXELS * settings.voxel_size / settings.radius_max) as f32)
         .max(resolved_radius(settings));
     shape_stats.large_radius_count = scales.iter().filter(|&&scale| scale > most).count();
+    let greatest = scales.iter().copied().fold(most, f32::max);
+    shape_stats.large_voxel_size = settings.voxel_size * f64::from(greatest / most);
     scales.iter_mut().for_each(|scale| *scale = scale.min(most));
     Some(scales)
 }
