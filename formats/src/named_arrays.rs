@@ -198,6 +198,32 @@ fn note_on_diameter(attribute: &FileAttribute) -> Option<String> {
         .then(|| format!("`{}` looks like a diameter: the radius is half of it", excerpt(&attribute.name)))
 }
 
+/// Applies the transform of `owner`, such as a prim, to vectors and radii.
+pub(crate) fn placed(arrays: &mut [NamedArray], matrix: &Matrix, owner: &str, notes: &mut Vec<String>) {
+    for NamedArray { name, arity, values } in arrays {
+        match role_of(name, *arity) {
+            Some(AttributeRole::Velocity | AttributeRole::Acceleration) => {
+                change_vectors(values, |vector| transformed(matrix, vector, 0.0));
+            }
+            Some(AttributeRole::Normal) => change_vectors(values, normal_transform(matrix)),
+            Some(AttributeRole::Radius) => {
+                let scale = determinant(matrix).abs().cbrt();
+                let mut rows = matrix.iter().take(3).map(|row| row.iter().map(|x| x * x).sum::<f64>().sqrt());
+                if rows.any(|length| (length - scale).abs() > 1e-6 * scale) {
+                    notes.push(format!(
+                        "{} has different scales along its axes: its radii have their mean",
+                        excerpt(owner)
+                    ));
+                }
+                if (scale - 1.0).abs() > 1e-9 {
+                    values.scale(scale);
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -273,31 +299,5 @@ mod tests {
         let frame = frame_of(None, vec![array("pos", 3), array("diameter", 1)]).unwrap();
         assert_eq!(frame.attributes[0].values, Values::F32(vec![0.0, 0.5]));
         assert_eq!(frame.notes.len(), 1, "{:?}", frame.notes);
-    }
-}
-
-/// Applies the transform of `owner`, such as a prim, to vectors and radii.
-pub(crate) fn placed(arrays: &mut [NamedArray], matrix: &Matrix, owner: &str, notes: &mut Vec<String>) {
-    for NamedArray { name, arity, values } in arrays {
-        match role_of(name, *arity) {
-            Some(AttributeRole::Velocity | AttributeRole::Acceleration) => {
-                change_vectors(values, |vector| transformed(matrix, vector, 0.0));
-            }
-            Some(AttributeRole::Normal) => change_vectors(values, normal_transform(matrix)),
-            Some(AttributeRole::Radius) => {
-                let scale = determinant(matrix).abs().cbrt();
-                let mut rows = matrix.iter().take(3).map(|row| row.iter().map(|x| x * x).sum::<f64>().sqrt());
-                if rows.any(|length| (length - scale).abs() > 1e-6 * scale) {
-                    notes.push(format!(
-                        "{} has different scales along its axes: its radii have their mean",
-                        excerpt(owner)
-                    ));
-                }
-                if (scale - 1.0).abs() > 1e-9 {
-                    values.scale(scale);
-                }
-            }
-            _ => {}
-        }
     }
 }

@@ -259,7 +259,9 @@ fn refuse_other_extension(out: &Path) -> Result<()> {
     let file_name = out.file_name().and_then(OsStr::to_str).unwrap_or_default();
     if NumberPattern::find_in_new(file_name).is_some() && !is_existing_or_named_folder(out) {
         let name = out.display();
-        bail!("{name}: the names of results need an extension, such as {name}.glb; for a folder of this name, write {name}/");
+        bail!(
+            "{name}: the names of results need an extension, such as {name}.glb; for a folder of this name, write {name}/"
+        );
     }
     if !names_file(out) {
         return Ok(());

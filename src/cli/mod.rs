@@ -167,9 +167,10 @@ pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8
         let is_of_machine = |cause: &(dyn Error + 'static)| {
             cause.downcast_ref::<io::Error>().is_some_and(is_error_of_machine)
         };
-        match error.chain().any(is_of_machine) {
-            true => CommandOutcome::MachineFailed,
-            false => CommandOutcome::NothingDone,
+        if error.chain().any(is_of_machine) {
+            CommandOutcome::MachineFailed
+        } else {
+            CommandOutcome::NothingDone
         }
     });
     if outcome == CommandOutcome::Done && console.failed_count() > 0 {

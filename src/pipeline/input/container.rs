@@ -126,17 +126,16 @@ impl OpenContainer {
         (state_of_files(lasting), bytes.saturating_mul(PACKED_FACTOR))
     }
 
-    /// The packed bytes of a frame, and the files that it was read from besides this one; `None` if one of the files
-    /// was written, replaced or removed meanwhile.
+    /// The packed bytes of a frame; `None` if one of the files was written, replaced or removed meanwhile.
     ///
     /// # Errors
     /// When the frame cannot be read.
-    pub(super) fn packed(&self, index: usize) -> Result<Option<(Vec<u8>, Option<Arc<NamedFiles>>)>> {
+    pub(super) fn packed(&self, index: usize) -> Result<Option<Vec<u8>>> {
         let packed = self.with(|file| container::packed(self.kind, file, index, &Limits::default()));
         if !self.is_unchanged()? {
             return Ok(None);
         }
-        Ok(Some((packed?, self.named_files())))
+        packed.map(Some)
     }
 
     /// The files beside it that its readers wanted so far; `None` if there are none.

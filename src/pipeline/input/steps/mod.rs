@@ -296,15 +296,15 @@ pub(crate) fn read_part(frame: &Path, by: IndexPolicy) -> Option<Result<Option<S
 fn read_sample(file: &Path, index: usize, contents: &StepIndex) -> Result<Option<StampedBytes>> {
     let open = OpenContainer::open(file)?.filter(|open| open.stamp() == contents.stamp);
     let Some(open) = open else { return Ok(None) };
-    let packed = open.packed(index)?;
-    Ok(packed.map(|(bytes, named)| StampedBytes { bytes, stamp: contents.stamp, named }))
+    let bytes = open.packed(index)?;
+    Ok(bytes.map(|bytes| StampedBytes { bytes, stamp: contents.stamp, named: open.named_files() }))
 }
 
 /// The files besides its own from which a frame, which cannot be read, would be read.
 pub(crate) fn named_by_unreadable(frame: &Path) -> Option<Arc<NamedFiles>> {
     let (file, step) = step_of(frame).map_or((frame, None), |(file, step)| (file, Some(step)));
     let open = OpenContainer::open(file).ok()??;
-    let index = || Some(step_index(file).ok()?.index_of(step?).ok()?);
+    let index = || step_index(file).ok()?.index_of(step?).ok();
     // The files that were wanted before an error are known.
     let _ = open.packed(index().unwrap_or(0));
     open.named_files()
