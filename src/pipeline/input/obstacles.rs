@@ -451,8 +451,8 @@ mod tests {
         let path = inner.join("a.gltf");
         let absolute_uri = folder.path().join("a.bin").display().to_string().replace('\\', "/");
         for (uri, word) in [
-            ("../a.bin", "outside the folder"),
-            (absolute_uri.as_str(), "outside the folder"),
+            ("../a.bin", "outside of its own folder"),
+            (absolute_uri.as_str(), "not a path relative"),
             ("b.bin", "not a regular file"),
             ("c.bin", "c.bin"),
         ] {
