@@ -257,7 +257,9 @@ pub(super) fn refuse_stdout(out: &Path) -> Result<()> {
 /// If the path [names a file](names_file). The message says what to write instead.
 fn refuse_other_extension(out: &Path) -> Result<()> {
     let file_name = out.file_name().and_then(OsStr::to_str).unwrap_or_default();
-    if NumberPattern::find_in_new(file_name).is_some() && !is_existing_or_named_folder(out) {
+    let is_numbered = |text: &str| NumberPattern::find_in_new(text).is_some();
+    let extension = out.extension().and_then(OsStr::to_str);
+    if is_numbered(extension.unwrap_or(file_name)) && !is_existing_or_named_folder(out) {
         let name = out.display();
         bail!(
             "{name}: the names of results need an extension, such as {name}.glb; for a folder of this name, write {name}/"

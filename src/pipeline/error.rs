@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use crate::surface::options::SettingsError;
 use crate::surface::reconstruction::{TooLarge, VoxelTooSmall};
 
+use crate::pipeline::files::number_pattern::is_link_loop;
 use crate::pipeline::files::out_folder::is_disk_full;
 use crate::pipeline::files::shown::shown;
 
@@ -196,15 +197,16 @@ impl FrameError {
 /// Whether a system error is one of the machine, and not of the path or the content of a file.
 pub(crate) fn is_error_of_machine(error: &io::Error) -> bool {
     use io::ErrorKind::{
-        AddrInUse, AddrNotAvailable, InvalidData, InvalidFilename, InvalidInput, IsADirectory, NotADirectory,
-        NotFound, PermissionDenied, UnexpectedEof,
+        AddrInUse, AddrNotAvailable, BrokenPipe, InvalidData, InvalidFilename, InvalidInput, IsADirectory,
+        NotADirectory, NotFound, PermissionDenied, UnexpectedEof,
     };
     let is_of_path = matches!(
         error.kind(),
         NotFound | NotADirectory | IsADirectory | InvalidFilename | InvalidInput | PermissionDenied
     );
-    let is_of_request = matches!(error.kind(), AddrInUse | AddrNotAvailable | InvalidData | UnexpectedEof);
-    !is_of_path && !is_of_request
+    let is_of_request =
+        matches!(error.kind(), AddrInUse | AddrNotAvailable | BrokenPipe | InvalidData | UnexpectedEof);
+    !is_of_path && !is_of_request && !is_link_loop(error)
 }
 
 fn panic_message(payload: &(dyn Any + Send)) -> String {

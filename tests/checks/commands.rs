@@ -196,7 +196,7 @@ const RUN_ELSEWHERE: [(&str, &str, &str); 6] = [
         "[\"benches/simulate_scenes.py\", scene]",
     ),
     (
-        "examples/farm/submit.sh 4 --cpus-per-task=4 --time=30 -- examples/frames --out meshes",
+        "examples/farm/submit.sh 4 --cpus-per-task=1 --time=5 -- examples/frames --out meshes",
         "tests/clients/check_slurm.py",
         "\"submit.sh\"",
     ),

@@ -25,7 +25,9 @@ pub(crate) fn options(command: &str) -> Vec<String> {
     let folder = tempdir().expect("a folder");
     let help = meniscus(folder.path(), &[command, "--help"]).out;
     let lines = help.lines().map(str::trim_start);
-    let starts = lines.map(|line| line.trim_start_matches("-o, ")).filter(|line| line.starts_with("--"));
+    let starts = lines
+        .map(|line| line.trim_start_matches("-o, ").trim_start_matches("-q, "))
+        .filter(|line| line.starts_with("--"));
     let names = starts.filter_map(|line| line.split([' ', '[', '=']).next());
     names.map(str::to_owned).collect()
 }

@@ -129,9 +129,15 @@ fn shard_does_not_create_the_output_folder() {
     let folder = folder.path();
     fs::remove_dir(folder.join("out")).expect("removed");
     let result = shard(folder, "1/1");
-    assert_eq!(result.status, 2);
+    assert_eq!(result.status, 75);
     assert!(result.err.contains("is it mounted?"), "{}", result.err);
     assert!(!folder.join("out").exists());
+    // Nor does another run help if the frames are not there.
+    fs::create_dir(folder.join("out")).expect("made");
+    for (input, status) in [("gone/*.ply", 75), ("in/gone.ply", 2)] {
+        let result = meniscus(folder, &["convert", input, "--out", "out", "--shard", "1/1"]);
+        assert_eq!(result.status, status, "{}", result.err);
+    }
 }
 
 #[test]
