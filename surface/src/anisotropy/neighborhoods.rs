@@ -249,19 +249,30 @@ impl ParticleRun<'_> {
     ) -> [f32; COUNT] {
         let (at, own) = (self.position(slot), self.scale(slot));
         let mut sums = [V::splat(0.0); COUNT];
-        for indices in within.chunks(8) {
-            let mut particles = ParticlePacket::NONE;
-            particles.take(eights, indices);
-            if self.scales.is_some() {
-                for (multiplicity, &index) in particles.multiplicity.iter_mut().zip(indices) {
-                    let particle = eights[index as usize / 8].indices[index as usize % 8];
-                    let size = (scale_of(self.scales, particle as usize) / own).min(1.0);
-                    *multiplicity *= size * size * size;
-                }
-            }
-            add_moments(&mut sums, &particles, at);
+        // Whole packets have a length that the compiler knows.
+        let (full, rest) = within.as_chunks::<8>();
+        for indices in full {
+            add_moments(&mut sums, &self.packet(own, eights, indices), at);
+        }
+        if !rest.is_empty() {
+            add_moments(&mut sums, &self.packet(own, eights, rest), at);
         }
         sums.map(total)
+    }
+
+    /// At most eight particles around one of the scale `own`, smaller ones by their volume.
+    #[inline(always)]
+    fn packet(&self, own: f32, eights: &[Particle8], indices: &[u32]) -> ParticlePacket {
+        let mut particles = ParticlePacket::NONE;
+        particles.take(eights, indices);
+        if self.scales.is_some() {
+            for (multiplicity, &index) in particles.multiplicity.iter_mut().zip(indices) {
+                let particle = eights[index as usize / 8].indices[index as usize % 8];
+                let size = (scale_of(self.scales, particle as usize) / own).min(1.0);
+                *multiplicity *= size * size * size;
+            }
+        }
+        particles
     }
 
     /// Gives a particle the weight of its kernel: one over the sum at its centre of the kernels of the particles
@@ -276,19 +287,37 @@ impl ParticleRun<'_> {
         let (at, own) = (self.position(slot), self.scale(slot));
         let shape = self.shapes[number].to_unit_ball.map(|entry| entry * per_reach);
         let mut sum = V::splat(0.0);
-        for indices in within.chunks(8) {
-            let mut particles = ParticlePacket::NONE;
-            particles.take(eights, indices);
-            let mut sizes = [1.0f32; 8];
-            if self.scales.is_some() {
-                for (size, &index) in sizes.iter_mut().zip(indices) {
-                    let particle = eights[index as usize / 8].indices[index as usize % 8];
-                    *size = own / scale_of(self.scales, particle as usize);
-                }
-            }
-            sum = sum.add(kernels_of(&particles, at, shape, &sizes));
+        let (full, rest) = within.as_chunks::<8>();
+        for indices in full {
+            sum = sum.add(self.kernels::<V>(eights, indices, at, shape, own));
+        }
+        if !rest.is_empty() {
+            sum = sum.add(self.kernels::<V>(eights, rest, at, shape, own));
         }
         self.shapes[number].weight = 1.0 / total(sum).max(1.0);
+    }
+
+    /// The kernels at `at` of at most eight particles, as of [`kernels_of`]: with this shape, of a particle of the scale
+    /// `own`, but their own sizes.
+    #[inline(always)]
+    fn kernels<V: Lanes>(
+        &self,
+        eights: &[Particle8],
+        indices: &[u32],
+        at: Vec3,
+        shape: [f32; 6],
+        own: f32,
+    ) -> V {
+        let mut particles = ParticlePacket::NONE;
+        particles.take(eights, indices);
+        let mut sizes = [1.0f32; 8];
+        if self.scales.is_some() {
+            for (size, &index) in sizes.iter_mut().zip(indices) {
+                let particle = eights[index as usize / 8].indices[index as usize % 8];
+                *size = own / scale_of(self.scales, particle as usize);
+            }
+        }
+        kernels_of(&particles, at, shape, &sizes)
     }
 
     fn position(&self, slot: usize) -> Vec3 {
