@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use crate::pipeline::{
-    FileStamp, Job, Reason, RecordLine, SequenceKey, SharedSettings, UnfinishedState, natural_order,
-    order_by_number, single_frames_note,
+    FileStamp, Job, MeasuredSpacing, Reason, RecordLine, SequenceKey, SharedSettings, UnfinishedState,
+    natural_order, order_by_number, single_frames_note,
 };
 use crate::surface::options::Start;
 
@@ -183,7 +183,7 @@ impl Core {
         }
     }
 
-    fn log_of_settings(&self, index: usize, headline: &'static str, warnings: Vec<String>) -> Option<Log> {
+    fn log_of_settings(&self, index: usize, headline: String, warnings: Vec<String>) -> Option<Log> {
         let sequence = self.sequences.get(index);
         let SequenceSettings::Fixed(settings, _) = &sequence.settings else { return None };
         // Nothing was measured for level sets: their files contain the voxel size.
@@ -222,12 +222,17 @@ impl Core {
 
 /// The message about the settings of a sequence: its particle spacing was measured, or was given or known
 /// already.
-fn headline_of(has_spacing: bool, record: &SharedSettings, known: Option<&SharedSettings>) -> &'static str {
+fn headline_of(has_spacing: bool, record: &SharedSettings, known: Option<&SharedSettings>) -> String {
     let was_known = has_spacing || known.is_some_and(|known| known.measured.is_some());
-    if record.measured.is_some() && !was_known {
-        return "measured the particle spacing, for all frames of the sequence";
+    match &record.measured {
+        // A daemon that starts when more frames exist may measure another.
+        Some(MeasuredSpacing { spacing, measured_count: 1, .. }) if !was_known => format!(
+            "measured the particle spacing on one frame, for all frames of the sequence; --spacing {} makes every run alike",
+            six_digits(*spacing)
+        ),
+        Some(_) if !was_known => "measured the particle spacing, for all frames of the sequence".to_owned(),
+        _ => "settings of the sequence".to_owned(),
     }
-    "settings of the sequence"
 }
 
 /// Rounds to six significant digits, which is enough for people.
@@ -238,7 +243,6 @@ fn six_digits(value: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pipeline::MeasuredSpacing;
 
     #[test]
     fn only_a_new_spacing_is_announced_as_measured() {
@@ -257,6 +261,7 @@ mod tests {
             headline_of(has_spacing, record, known).starts_with("measured the particle spacing")
         };
         assert!(is_announced(false, &measured, None));
+        assert!(headline_of(false, &measured, None).contains("--spacing 0.1 makes every run alike"));
         assert!(!is_announced(false, &measured, Some(&measured)));
         assert!(!is_announced(true, &given, None));
         // With a given spacing, particles are measured to choose a preset.
