@@ -2,7 +2,7 @@
 tetrahedron covered with particles (paper, Fig. 15 and 16).
 
     clear       no vertex is deeper in the obstacle than a quarter of a voxel
-    no void     wherever the fluid reaches the obstacle, the mesh is within a quarter of a voxel of
+    no void     wherever the fluid reaches the obstacle, the mesh is within half a voxel of
                 the obstacle, except next to the contact line, where its edge is rounded
     certified   the frame's certificate holds, and the report states the same depth of the deepest vertex
 
@@ -23,13 +23,16 @@ from mesh_files import read_ply
 from project import DATA, WORK, Check, convert, data_is_there
 
 FOLDER = WORK / "obstacles"
-# Largest depth of a vertex in the obstacle, and largest distance of the mesh from a wet wall, in voxels.
-DEPTH_MAX = 0.25
-# A point of the obstacle is wet if its distance from a particle is less than a quarter of the reach of kernels
+# Largest depth of a vertex in the obstacle, and largest distance of the mesh from a wet wall, in voxels: a layer of
+# particles is thinner than the ball of one, and smoothing draws its face from the wall.
+DEPTH_MAX, GAP_MAX = 0.25, 0.5
+# A point of the obstacle is wet if its distance from a particle is less than the radius of a lone drop
 # plus this margin, in voxels. With the negative margin, the fluid covers the wet points. With the positive margin, a
-# void may be between, which is narrower than the threshold of two voxels and so gets filled. Inside the contact
-# line of a dam break, the edge of the fluid is rounded over a voxel and a half.
-COVERED, APART, INSIDE = -0.5, 1.0, -1.5
+# void may be between, which is narrower than the threshold of two voxels and so gets filled.
+COVERED, APART = -0.5, 1.0
+# Points so near to the contact line, in voxels, are not checked: the edge of the fluid is rounded. A point is dry if
+# it is farther from the particles than half the reach of kernels. A tetrahedron is covered, so it has no such line.
+CONTACT_WIDTH = 1.5
 # The mesh rounds sharp edges of the obstacle up to this distance, in voxels: wet points near them are not
 # checked.
 EDGE_WIDTH = 1.0
@@ -62,7 +65,7 @@ def dam_break(name, voxel_size):
     obstacle.apply_scale(radius)
     obstacle.apply_translation(particles[int(np.argmax(counts))])
     outside = ~obstacle.contains(particles)
-    return measured(name.split(".")[0], particles[outside], obstacle, voxel_size, INSIDE)
+    return measured(name.split(".")[0], particles[outside], obstacle, voxel_size, COVERED, CONTACT_WIDTH)
 
 
 def tetrahedron(name, lift, wet_margin):
@@ -76,7 +79,7 @@ def tetrahedron(name, lift, wet_margin):
     return measured(name, particles, obstacle, 0.04, wet_margin)
 
 
-def measured(name, particles, obstacle, voxel_size, wet_margin):
+def measured(name, particles, obstacle, voxel_size, wet_margin, contact_width=None):
     """Reconstructs the surface of the particles around the obstacle. Returns figures and faults."""
     points, wall, out = FOLDER / f"{name}.csv", FOLDER / f"{name}.obj", FOLDER / "out"
     np.savetxt(points, particles, delimiter=",", header="x,y,z", comments="", fmt="%.9g")
@@ -90,12 +93,12 @@ def measured(name, particles, obstacle, voxel_size, wet_margin):
     vertices, triangles = read_ply(out / f"{name}.ply")
     depth = deepest(obstacle, vertices, voxel_size)
     surface = trimesh.Trimesh(vertices, triangles, process=False)
-    gap, wet_count = widest_gap(obstacle, particles, surface, frame["settings"], wet_margin)
+    gap, wet_count = widest_gap(obstacle, particles, surface, frame["settings"], wet_margin, contact_width)
     report = frame["obstacles"]
     faults = []
     if depth > DEPTH_MAX:
         faults.append(f"a vertex is {depth:.3f} h deep in the obstacle")
-    if gap > DEPTH_MAX:
+    if gap > GAP_MAX:
         faults.append(f"the surface is {gap:.3f} h from the obstacle where there is fluid")
     if wet_count < 200:
         faults.append(f"only {wet_count} places of the obstacle are wet")
@@ -117,17 +120,20 @@ def deepest(obstacle, vertices, voxel_size):
     return max(trimesh.proximity.signed_distance(obstacle, vertices[near]).max(), 0.0) / voxel_size
 
 
-def widest_gap(obstacle, particles, surface, settings, wet_margin):
+def widest_gap(obstacle, particles, surface, settings, wet_margin, contact_width):
     """The largest distance of the surface from a wet point of the obstacle, in voxels; and the number of wet
     points."""
     voxel_size = settings["voxel_size"]
-    # The surface of a lone particle is a little farther away from it.
-    depth = 0.25 * settings["blend"]
+    # As far from a lone particle as its surface.
+    depth = 0.36 * settings["blend"]
     places, _ = trimesh.sample.sample_surface(obstacle, 20000, seed=1)
     distances, _ = cKDTree(particles).query(places)
     is_wet = distances < depth + wet_margin * voxel_size
     is_flat = edge_distances(obstacle, places) > EDGE_WIDTH * voxel_size
     wet = places[is_wet & is_flat]
+    if contact_width:
+        dry = places[distances > 0.5 * settings["blend"]]
+        wet = wet[cKDTree(dry).query(wet)[0] > contact_width * voxel_size]
     _, gaps, _ = trimesh.proximity.closest_point(surface, wet)
     return gaps.max() / voxel_size, len(wet)
 
