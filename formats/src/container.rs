@@ -13,7 +13,9 @@
 //! [`packed`] turns a sample into bytes that depend on nothing but its particles, whatever else the file has,
 //! and that [`crate::read_particles`] reads.
 
+use std::fmt;
 use std::io;
+use std::sync::Arc;
 
 use crate::batches::{ReadAt, read};
 use crate::data::{MeshData, ParticleFrame};
@@ -49,18 +51,54 @@ pub struct ContainerFile<'a> {
 /// parts. The bytes are decompressed.
 pub type OpenFurther<'a> = dyn Fn(&str) -> io::Result<Box<dyn ReadAt>> + 'a;
 
+/// The frames of a container. They are found once, so that the time to read all of them grows with their number.
+#[derive(Clone, Debug)]
+pub struct ContainerFrames {
+    /// The frames with particles, in the order of the file.
+    pub samples: Vec<Sample>,
+    /// The files that each frame is read from, if these are other files than the container: their paths relative to its
+    /// folder, with `/` between their parts. They may name further files themselves.
+    pub files: Option<Vec<Vec<String>>>,
+    reader: Arc<dyn ReadFrame>,
+}
+
+/// Reads the frames of a container, with what is known of its structure.
+pub(crate) trait ReadFrame: fmt::Debug + Send + Sync {
+    /// Reads a frame by its index. The container is the one in which the frames were found, opened again.
+    fn read(&self, container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame>;
+}
+
+/// A reader that knows nothing of the structure.
+impl ReadFrame for fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame> {
+    fn read(&self, container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
+        self(container, index, limits)
+    }
+}
+
+impl ContainerFrames {
+    pub(crate) fn new(samples: Vec<Sample>, reader: impl ReadFrame + 'static) -> ContainerFrames {
+        ContainerFrames { samples, files: None, reader: Arc::new(reader) }
+    }
+
+    /// Reads a frame by its index in `samples`, from the container in which they were found.
+    ///
+    /// # Errors
+    /// Those of the format's reader.
+    pub fn read(&self, container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
+        self.reader.read(container, index, limits)
+    }
+}
+
 /// How the frames of a container are read.
 pub(crate) struct ContainerReader {
-    /// The frames with particles, in the order of the file. Reads structure, not particles.
-    pub(crate) samples: fn(&ContainerFile, &Limits) -> Result<Vec<Sample>>,
-    /// Reads a frame by its index in `samples`.
-    pub(crate) read: fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame>,
-    /// The files that each frame is read from, if these are other files than the container: their paths
-    /// relative to its folder.
-    pub(crate) files: Option<FilesOfFrames>,
+    /// Finds the frames. Reads structure, not particles.
+    pub(crate) open: FindFrames,
     /// How the meshes are read, if files of this kind can have meshes, too.
     pub(crate) meshes: Option<SceneMeshReader>,
 }
+
+/// Finds the frames of a container.
+pub(crate) type FindFrames = fn(&ContainerFile, &Limits) -> Result<ContainerFrames>;
 
 /// How the meshes of a scene are read.
 pub(crate) struct SceneMeshReader {
@@ -70,45 +108,36 @@ pub(crate) struct SceneMeshReader {
     pub(crate) read: fn(&ContainerFile, Option<i64>, &Limits) -> Result<MeshData>,
 }
 
-/// Finds the files that each frame is read from.
-pub(crate) type FilesOfFrames = fn(&ContainerFile, &Limits) -> Result<Vec<Vec<String>>>;
-
 /// Whether files of this kind are containers.
 pub fn is_container(kind: ProbedKind) -> bool {
     reader_of(kind).is_some()
 }
 
-/// The frames with particles in a container of this kind; empty for other kinds.
+/// The frames in a container of this kind.
 ///
 /// # Errors
-/// Those of the format's reader: [`Error::Unsupported`] for a file without particles, for example.
-pub fn samples(kind: ProbedKind, container: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>> {
-    reader_of(kind).map_or_else(|| Ok(Vec::new()), |(_, reader)| (reader.samples)(container, limits))
+/// Those of the format's reader: [`Error::Unsupported`] for a file without particles, for example, or if the kind is not
+/// that of a container.
+pub fn frames(kind: ProbedKind, container: &ContainerFile, limits: &Limits) -> Result<ContainerFrames> {
+    let not_one = || Error::unsupported(kind.name(), "not a file with frames of its own");
+    (reader_of(kind).ok_or_else(not_one)?.1.open)(container, limits)
 }
 
-/// The files that each of the [`samples`] is read from, if these are other files than the container: their
-/// paths relative to its folder, with `/` between their parts. They may name further files themselves.
+/// The particles of one of the frames, by its index, as bytes that [`crate::read_particles`] reads. Equal particles give
+/// equal bytes.
 ///
 /// # Errors
-/// Those of [`samples`].
-pub fn further_files(
+/// Those of [`frames`].
+pub fn packed(
     kind: ProbedKind,
     container: &ContainerFile,
+    frames: &ContainerFrames,
+    index: usize,
     limits: &Limits,
-) -> Result<Option<Vec<Vec<String>>>> {
-    let files = reader_of(kind).and_then(|(_, reader)| reader.files);
-    files.map(|files| files(container, limits)).transpose()
-}
-
-/// The particles of one of the [`samples`], by its index, as bytes that [`crate::read_particles`] reads. Equal
-/// particles give equal bytes.
-///
-/// # Errors
-/// Those of the format's reader; [`Error::Unsupported`] if the kind is not that of a container.
-pub fn packed(kind: ProbedKind, container: &ContainerFile, index: usize, limits: &Limits) -> Result<Vec<u8>> {
+) -> Result<Vec<u8>> {
     let not_one = || Error::unsupported(kind.name(), "not a file with frames of its own");
-    let (format, reader) = reader_of(kind).ok_or_else(not_one)?;
-    Ok(pack(format, &(reader.read)(container, index, limits)?))
+    let (format, _) = reader_of(kind).ok_or_else(not_one)?;
+    Ok(pack(format, &frames.read(container, index, limits)?))
 }
 
 /// Whether the meshes in a file of this kind change with the time; `None` for kinds without scenes.
@@ -159,12 +188,8 @@ pub(crate) fn frame_at<'f, T>(format: &'static str, frames: &'f [T], index: usiz
 }
 
 impl ContainerReader {
-    /// A container whose frames are in the file itself.
-    pub(crate) const fn new(
-        samples: fn(&ContainerFile, &Limits) -> Result<Vec<Sample>>,
-        read: fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame>,
-    ) -> ContainerReader {
-        ContainerReader { samples, read, files: None, meshes: None }
+    pub(crate) const fn new(open: FindFrames) -> ContainerReader {
+        ContainerReader { open, meshes: None }
     }
 
     /// Reads the only frame of a container in memory that names no other file.
@@ -180,12 +205,13 @@ impl ContainerReader {
         let open: &OpenFurther =
             &|path| Err(io::Error::new(io::ErrorKind::Unsupported, format!("no access to the file {path}")));
         let container = ContainerFile { file: &bytes, name: "", open };
-        let count = (self.samples)(&container, limits)?.len();
+        let frames = (self.open)(&container, limits)?;
+        let count = frames.samples.len();
         if count > 1 {
             let what = format!("the file has {count} frames, and one was expected");
             return Err(Error::unsupported(format, what));
         }
-        (self.read)(&container, 0, limits)
+        frames.read(&container, 0, limits)
     }
 }
 

@@ -5,6 +5,7 @@
 //!
 //! ```text
 //!   "pos" (N, 3)                    the position, unless the format itself specifies one
+//!   "any" (N, 3)                    the position, if there is no other array of three columns, and no x, y and z
 //!   "x" (N), "y" (N), "z" (N)       the same, in three arrays
 //!   "vel" (N, 3)                    Velocity
 //!   "vx" (N), "vy" (N), "vz" (N)    joined to "v" (N, 3): Velocity
@@ -43,11 +44,18 @@ pub(crate) fn frame_of(
     positions: Option<FilePositions>,
     mut arrays: Vec<NamedArray>,
 ) -> Option<ParticleFrame> {
-    let positions = match positions.or_else(|| take_vector_position(&mut arrays)) {
-        Some(positions) => positions,
-        None => take_column_position(&mut arrays)?,
+    let named = positions
+        .or_else(|| take_vector_position(&mut arrays, named_position).map(|(_, positions)| positions))
+        .or_else(|| take_column_position(&mut arrays));
+    let (only, positions) = match named {
+        Some(positions) => (None, positions),
+        None => take_vector_position(&mut arrays, only_position)
+            .map(|(name, positions)| (Some(name), positions))?,
     };
     let mut notes = take_mismatched(&mut arrays, positions.len());
+    notes.extend(only.map(|name| {
+        format!("`{}` is the only array of three columns: it is used as the position", excerpt(&name))
+    }));
     let arrays = joined(arrays);
     let named: Vec<(&str, usize)> = arrays.iter().map(|array| (&*array.name, array.arity)).collect();
     let roles = roles_of(&named);
@@ -60,15 +68,17 @@ pub(crate) fn frame_of(
 /// The number of particles of arrays that are not read yet, given as name, arity and number of rows: that of
 /// the position. `None` if there is no position among them.
 pub(crate) fn position_count(arrays: &[(&str, usize, usize)]) -> Option<usize> {
-    let vectors = arrays.iter().filter(|&&(_, arity, _)| arity == 3);
-    let ranked = vectors.filter_map(|&(name, _, count)| Some((position_rank(name)?, count)));
-    if let Some((_, count)) = ranked.min_by_key(|&(rank, _)| rank) {
-        return Some(count);
+    let vectors: Vec<_> = arrays.iter().filter(|&&(_, arity, _)| arity == 3).collect();
+    let names: Vec<&str> = vectors.iter().map(|(name, ..)| *name).collect();
+    if let Some(index) = named_position(&names) {
+        return Some(vectors[index].2);
     }
     let singles: Vec<_> = arrays.iter().filter(|&&(_, arity, _)| arity == 1).collect();
     let columns: Vec<_> = singles.iter().map(|&&(name, ..)| (name, ())).collect();
-    let [x, ..] = group_columns(&columns).position?;
-    singles.get(x).map(|&&(.., count)| count)
+    match group_columns(&columns).position {
+        Some([x, ..]) => singles.get(x).map(|&&(.., count)| count),
+        None => only_position(&names).map(|index| vectors[index].2),
+    }
 }
 
 /// A part of a frame, such as one of several objects in a file: its particles, and arrays with a value for each.
@@ -139,12 +149,29 @@ fn take_mismatched(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<S
     arrays.extract_if(.., |array| !fits(array)).map(note).collect()
 }
 
-/// Takes the position from the arrays with three values per particle: the array whose name ranks first.
-fn take_vector_position(arrays: &mut Vec<NamedArray>) -> Option<FilePositions> {
+/// Takes the position, with its name, from the arrays with three values per particle: the one that `find` chooses by
+/// their names.
+fn take_vector_position(
+    arrays: &mut Vec<NamedArray>,
+    find: fn(&[&str]) -> Option<usize>,
+) -> Option<(String, FilePositions)> {
     let is_vector = |array: &NamedArray| array.arity == 3 && !matches!(array.values, Values::Strings { .. });
-    let ranked = arrays.iter().enumerate().filter(|(_, array)| is_vector(array));
-    let (_, index) = ranked.filter_map(|(index, array)| Some((position_rank(&array.name)?, index))).min()?;
-    number::positions(arrays.remove(index).values)
+    let vectors: Vec<usize> = (0..arrays.len()).filter(|&index| is_vector(&arrays[index])).collect();
+    let names: Vec<&str> = vectors.iter().map(|&index| &*arrays[index].name).collect();
+    let index = vectors[find(&names)?];
+    let NamedArray { name, values, .. } = arrays.remove(index);
+    Some((name, number::positions(values)?))
+}
+
+/// The position among the names of arrays with three values per particle: the name that ranks first.
+fn named_position(names: &[&str]) -> Option<usize> {
+    let ranked = names.iter().enumerate().filter_map(|(index, name)| Some((position_rank(name)?, index)));
+    ranked.min().map(|(_, index)| index)
+}
+
+/// The position among these names if there is only one, which is that of nothing else.
+fn only_position(names: &[&str]) -> Option<usize> {
+    (names.len() == 1 && role_of(names[0], 3).is_none()).then_some(0)
 }
 
 /// Takes the position from three arrays with one value per particle, chosen by their names.
@@ -249,6 +276,31 @@ mod tests {
             text += &role.map_or(String::new(), |role| format!(" {role:?}"));
         }
         Some(text)
+    }
+
+    #[test]
+    fn names_of_simulators_and_the_only_vector_are_positions() {
+        for (names, velocity) in [
+            (&["particle_q", "particle_qd"][..], Some("particle_qd")),
+            (&["F_x", "F_v"], Some("F_v")),
+            (&["particle_pos", "particle_vel"], Some("particle_vel")),
+            (&["x", "v"], Some("v")),
+            (&["q", "qd"], Some("qd")),
+            (&["arr_0"], None),
+        ] {
+            let frame = frame_of(None, names.iter().map(|name| array(name, 3)).collect()).expect("positions");
+            let found = frame.attributes.iter().find(|found| found.role == Some(AttributeRole::Velocity));
+            assert_eq!(found.map(|found| &*found.name), velocity, "{names:?}");
+            assert_eq!(frame.notes.len(), usize::from(names == ["arr_0"]), "{:?}", frame.notes);
+        }
+        // What is only a velocity, or one of several unknown vectors, is no position.
+        for names in [&["v"][..], &["a_b", "c_d"]] {
+            assert_eq!(frame_of(None, names.iter().map(|name| array(name, 3)).collect()), None, "{names:?}");
+        }
+        // Columns come first.
+        let columns = ["x", "y", "z"].map(|name| array(name, 1));
+        let frame = frame_of(None, columns.into_iter().chain([array("force", 3)]).collect());
+        assert_eq!(frame.expect("columns").attributes[0].name, "force");
     }
 
     #[test]

@@ -22,7 +22,7 @@ use quick_xml::events::BytesStart;
 
 use crate::batches;
 use crate::bytes::Endian;
-use crate::container::{ContainerFile, ContainerReader, Sample, further_path};
+use crate::container::{ContainerFile, ContainerFrames, ContainerReader, ReadFrame, Sample, further_path};
 use crate::data::{FilePositions, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::hdf5;
@@ -39,7 +39,7 @@ const FORMAT: &str = "XDMF";
 
 /// The row in the table of formats. The first element identifies a file.
 pub(crate) static ROW: FormatRow = FormatRow {
-    particles: Some(ParticleReader::container(ContainerReader::new(samples, read))),
+    particles: Some(ParticleReader::container(ContainerReader::new(frames))),
     ..FormatRow::new(FORMAT, &["xmf", "xdmf"])
 };
 
@@ -48,40 +48,48 @@ pub(crate) static ROW: FormatRow = FormatRow {
 /// # Errors
 /// [`Error::Truncated`] if the last tag is missing, [`Error::Invalid`] for malformed XML, [`Error::TooLarge`]
 /// for more frames than `limits` allows.
-pub fn samples(container: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>> {
+pub fn frames(container: &ContainerFile, limits: &Limits) -> Result<ContainerFrames> {
     let text = text_of(container)?;
-    let frames = frames(&text, limits)?;
+    let frames = frames_in(&text, limits)?;
     let first = frames.first().and_then(|frame| frame.grids.first());
     if let Some(range) = first
         && !grid(&text[range.clone()], 0).is_ok_and(|grid| grid.has_points())
     {
-        return Ok(Vec::new());
+        return Ok(ContainerFrames::new(Vec::new(), XdmfFrames(frames)));
     }
-    Ok(frames.iter().zip(0..).map(|(frame, number)| Sample { number, time: frame.time }).collect())
+    let samples = frames.iter().zip(0..).map(|(frame, number)| Sample { number, time: frame.time }).collect();
+    Ok(ContainerFrames::new(samples, XdmfFrames(frames)))
 }
 
-/// Reads a frame by its index in [`samples`], with the files that it names.
-///
-/// # Errors
-/// Those of [`samples`] and of HDF5; [`Error::Truncated`] if a file is missing; [`Error::Unsupported`] for files
-/// outside of the folder, for items that select or compute values, and for grids that are not points.
-pub fn read(container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
-    let text = text_of(container)?;
-    let frames = frames(&text, limits)?;
-    let frame = frames.get(index).ok_or_else(|| {
-        let what =
-            if frames.is_empty() { "expected a <Grid>".into() } else { format!("there is no frame {index}") };
-        Error::invalid(FORMAT, Position::File, what)
-    })?;
-    let mut items =
-        ItemReader { container, limits, opened: HashSet::new(), bytes: text.len() as u64, spent: 0 };
-    let mut notes = Vec::new();
-    let pieces: Result<Vec<ParticlePart>> =
-        frame.grids.iter().map(|range| piece(&text, range, &mut items, &mut notes)).collect();
-    notes.dedup();
-    let pieces = pieces?;
-    limits.check_particles(FORMAT, pieces.iter().map(|piece| piece.positions.len() as u64).sum())?;
-    Ok(joined(pieces, notes))
+/// The frames of a file.
+#[derive(Debug)]
+struct XdmfFrames(Vec<XdmfFrame>);
+
+impl ReadFrame for XdmfFrames {
+    /// Reads a frame with the files that it names.
+    ///
+    /// # Errors
+    /// Those of [`frames`] and of HDF5; [`Error::Truncated`] if a file is missing; [`Error::Unsupported`] for files
+    /// outside of the folder, for items that select or compute values, and for grids that are not points.
+    fn read(&self, container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
+        let frame = self.0.get(index).ok_or_else(|| {
+            let is_empty = self.0.is_empty();
+            let what =
+                if is_empty { "expected a <Grid>".into() } else { format!("there is no frame {index}") };
+            Error::invalid(FORMAT, Position::File, what)
+        })?;
+        let bytes = container.file.size_bytes()?;
+        let mut items = ItemReader { container, limits, opened: HashSet::new(), bytes, spent: 0 };
+        let (mut notes, mut pieces) = (Vec::new(), Vec::new());
+        for range in &frame.grids {
+            let text = batches::read(container.file, range.start as u64..range.end as u64)?;
+            let text = text_at(text, range.start as u64)?;
+            pieces.push(piece(&text, range.start as u64, &mut items, &mut notes)?);
+        }
+        notes.dedup();
+        limits.check_particles(FORMAT, pieces.iter().map(|piece| piece.positions.len() as u64).sum())?;
+        Ok(joined(pieces, notes))
+    }
 }
 
 /// Whether a text is XDMF, judged by its start.
@@ -92,8 +100,13 @@ pub(crate) fn looks_like_xdmf(text: &[u8]) -> bool {
 fn text_of(container: &ContainerFile) -> Result<String> {
     let bytes = batches::read(container.file, 0..container.file.size_bytes()?)?;
     check_end(FORMAT, &bytes, "</Xdmf>")?;
+    text_at(bytes, 0)
+}
+
+/// The text of bytes at an offset of the file.
+fn text_at(bytes: Vec<u8>, offset: u64) -> Result<String> {
     String::from_utf8(bytes).map_err(|error| {
-        let at = error.utf8_error().valid_up_to() as u64;
+        let at = offset + error.utf8_error().valid_up_to() as u64;
         Error::invalid(FORMAT, Position::Offset(at), "expected UTF-8 text")
     })
 }
@@ -119,6 +132,7 @@ fn value(tag: &BytesStart, names: &[&str], at: u64) -> Result<Option<String>> {
 // Finds the frames.
 
 /// The grids of a time: ranges of the text.
+#[derive(Debug)]
 struct XdmfFrame {
     time: Option<f64>,
     /// The number of the child of a temporal collection in which they are.
@@ -138,7 +152,7 @@ struct OpenGrid {
 }
 
 /// The frames of the file: the children of a temporal collection, or the grids of each time.
-fn frames(text: &str, limits: &Limits) -> Result<Vec<XdmfFrame>> {
+fn frames_in(text: &str, limits: &Limits) -> Result<Vec<XdmfFrame>> {
     let mut frames: Vec<XdmfFrame> = Vec::new();
     for found in found_grids(text, limits)? {
         match frames.last_mut() {
@@ -348,14 +362,9 @@ fn data_item<'a>(tag: &BytesStart, at: u64) -> Result<DataItem<'a>> {
     })
 }
 
-/// The points of a grid and their attributes.
-fn piece(
-    text: &str,
-    range: &Range<usize>,
-    items: &mut ItemReader,
-    notes: &mut Vec<String>,
-) -> Result<ParticlePart> {
-    let grid = grid(&text[range.clone()], range.start as u64)?;
+/// The points of a grid, which starts at `offset` of the file, and their attributes.
+fn piece(text: &str, offset: u64, items: &mut ItemReader, notes: &mut Vec<String>) -> Result<ParticlePart> {
+    let grid = grid(text, offset)?;
     if !grid.has_points() {
         let kind = excerpt(grid.geometry.as_deref().unwrap_or("none"));
         return Err(unsupported(format!("expected a geometry of the type XYZ, found {kind}: not particles")));
@@ -366,7 +375,7 @@ fn piece(
     }
     let mut columns: Vec<Values> =
         grid.points.iter().map(|item| items.values(item)).collect::<Result<_>>()?;
-    let at = grid.points.first().map_or(range.start as u64, |item| item.at);
+    let at = grid.points.first().map_or(offset, |item| item.at);
     let values = match &columns[..] {
         [_] => columns.pop(),
         [x, y, z] => interleaved(&[x, y, z]),

@@ -13,11 +13,12 @@ fn file(name: &str) -> Vec<u8> {
 }
 
 fn samples(bytes: &[u8]) -> Result<Vec<Sample>, Error> {
-    hdf5::samples(&container(&bytes), &Limits::default())
+    Ok(hdf5::frames(&container(&bytes), &Limits::default())?.samples)
 }
 
 fn read(bytes: &[u8], index: usize) -> Result<ParticleFrame, Error> {
-    hdf5::read(&container(&bytes), index, &Limits::default())
+    let (container, limits) = (container(&bytes), Limits::default());
+    hdf5::frames(&container, &limits)?.read(&container, index, &limits)
 }
 
 fn container<'a>(bytes: &'a &'a [u8]) -> ContainerFile<'a> {
@@ -229,6 +230,8 @@ fn truncated_files_are_reported_as_such() {
 fn data_beyond_the_limits_is_an_error() {
     let limits = Limits { particle_count: 5, ..Limits::default() };
     let bytes = file("gadget.h5");
-    let error = hdf5::read(&container(&&bytes[..]), 0, &limits).unwrap_err();
+    let bytes = &&bytes[..];
+    let container = container(bytes);
+    let error = hdf5::frames(&container, &limits).unwrap().read(&container, 0, &limits).unwrap_err();
     assert!(matches!(error, Error::TooLarge { .. }), "{error}");
 }

@@ -15,9 +15,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use meniscus_formats::{
     AttributeRole, BandGrid, ContainerFile, FileAttribute, Format, LeafValues, LevelSetView, Limits,
-    MeshOptions, MeshView, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind, ReadAt,
-    Result, Sample, Values, abc, bgeo, container, csv, hdf5, lammps, ply, read_mesh, read_obstacle,
-    read_particles, usdc, vdb, xdmf,
+    MeshOptions, MeshView, OutputFormat, ParticleBatch, ParticleBatches, ProbedKind, ReadAt, Result, Values,
+    abc, bgeo, container, csv, hdf5, lammps, ply, read_mesh, read_obstacle, read_particles, usdc, vdb, xdmf,
 };
 use peak_alloc::PeakAlloc;
 
@@ -124,9 +123,9 @@ fn damaged_lists_of_files_do_not_panic() {
         };
         let (kind, limits) = (ProbedKind::Format(Format::VtkIndex), Limits::default());
         let container = ContainerFile { file: &list, name: "list", open: &open };
-        let count = container::samples(kind, &container, &limits)?.len();
-        (0..count.min(3)).try_for_each(|index| {
-            let bytes = container::packed(kind, &container, index, &limits)?;
+        let found = container::frames(kind, &container, &limits)?;
+        (0..found.samples.len().min(3)).try_for_each(|index| {
+            let bytes = container::packed(kind, &container, &found, index, &limits)?;
             read_particles(&bytes, "list", &limits).map(drop)
         })
     };
@@ -140,21 +139,22 @@ fn damaged_lists_of_files_do_not_panic() {
 /// The frames of a container of this size that is damaged: all of the first few are read.
 fn read_all(
     bytes: &[u8],
-    samples: fn(&ContainerFile, &Limits) -> Result<Vec<Sample>>,
-    read: fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame>,
+    frames: fn(&ContainerFile, &Limits) -> Result<container::ContainerFrames>,
 ) -> Result<()> {
     let other = fixtures::hdf5_files().swap_remove(0).1; // for each name
     let open = |_: &str| Ok(Box::new(Arc::<[u8]>::from(&other[..])) as Box<dyn ReadAt>);
     let container = ContainerFile { file: &bytes, name: "a", open: &open };
-    let count = samples(&container, &Limits::default())?.len();
-    (0..count.clamp(1, 3)).try_for_each(|index| read(&container, index, &Limits::default()).map(drop))
+    let limits = Limits::default();
+    let found = frames(&container, &limits)?;
+    (0..found.samples.len().clamp(1, 3))
+        .try_for_each(|index| found.read(&container, index, &limits).map(drop))
 }
 
 #[test]
 fn damaged_hdf5_files_do_not_panic() {
     let _alone = alone();
     for (name, bytes) in fixtures::hdf5_files() {
-        sweep(&name, &bytes, |bytes| read_all(bytes, hdf5::samples, hdf5::read));
+        sweep(&name, &bytes, |bytes| read_all(bytes, hdf5::frames));
     }
 }
 
@@ -162,9 +162,7 @@ fn damaged_hdf5_files_do_not_panic() {
 fn damaged_xdmf_files_do_not_panic() {
     let _alone = alone();
     for turn in 0..10 {
-        sweep(&format!("{turn}.xmf"), fixtures::XDMF.as_bytes(), |bytes| {
-            read_all(bytes, xdmf::samples, xdmf::read)
-        });
+        sweep(&format!("{turn}.xmf"), fixtures::XDMF.as_bytes(), |bytes| read_all(bytes, xdmf::frames));
     }
 }
 

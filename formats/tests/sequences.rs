@@ -445,12 +445,12 @@ fn particles_in(format: Format, bytes: &[u8]) -> Result<Vec<(f64, ParticleFrame)
     let open: &OpenFurther = &|_| Err(io::ErrorKind::NotFound.into());
     let (kind, file, limits) =
         (ProbedKind::Format(format), ContainerFile { file: &bytes, name: "", open }, Limits::default());
-    let samples = container::samples(kind, &file, &limits)?;
+    let frames = container::frames(kind, &file, &limits)?;
     let frame = |(index, sample): (usize, &meniscus_formats::Sample)| {
-        let packed = container::packed(kind, &file, index, &limits)?;
+        let packed = container::packed(kind, &file, &frames, index, &limits)?;
         Ok((25.0 * sample.time.expect("a time"), read_particles(&packed, "", &limits)?))
     };
-    samples.iter().enumerate().map(frame).collect()
+    frames.samples.iter().enumerate().map(frame).collect()
 }
 
 fn reals_of(values: &Values) -> Vec<f64> {

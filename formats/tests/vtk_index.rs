@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io;
 
-use meniscus_formats::container::{further_files, packed, samples};
+use meniscus_formats::container::{self, frames};
 use meniscus_formats::{
     AttributeRole, ContainerFile, Error, FilePositions, Format, Limits, ParticleFrame, ProbedKind, ReadAt,
     Result, Sample, Values, neighbor, probe, read_particles,
@@ -64,13 +64,17 @@ fn opened<T>(bytes: &[u8], folder: &Folder, work: impl FnOnce(&ContainerFile) ->
     work(&ContainerFile { file: &bytes, name: "list", open: &open })
 }
 
+fn packed(file: &ContainerFile, number: usize, limits: &Limits) -> Result<Vec<u8>> {
+    container::packed(KIND, file, &frames(KIND, file, limits)?, number, limits)
+}
+
 fn samples_of(index: &str) -> Result<Vec<Sample>> {
-    opened(index.as_bytes(), &Folder::new(), |file| samples(KIND, file, &Limits::default()))
+    opened(index.as_bytes(), &Folder::new(), |file| Ok(frames(KIND, file, &Limits::default())?.samples))
 }
 
 fn frame(index: &str, folder: &Folder, number: usize) -> Result<ParticleFrame> {
     let limits = Limits::default();
-    let bytes = opened(index.as_bytes(), folder, |file| packed(KIND, file, number, &limits))?;
+    let bytes = opened(index.as_bytes(), folder, |file| packed(file, number, &limits))?;
     read_particles(&bytes, "list", &limits)
 }
 
@@ -101,8 +105,11 @@ fn files_of_a_time_become_a_frame() {
         collection(&[("0.25", "a_0.vtp"), ("0.5", "b.vtp"), ("2.5e-1", "sub\\a_1.vtp"), ("0.5", "./b.vtp")]);
     let expected = [(0, 0.25), (1, 0.5)].map(|(number, time)| Sample { number, time: Some(time) });
     assert_eq!(samples_of(&pvd).expect("a list"), expected);
-    let paths = opened(pvd.as_bytes(), &files, |file| further_files(KIND, file, &Limits::default()));
-    assert_eq!(paths.expect("a list").expect("files"), [vec!["a_0.vtp", "sub/a_1.vtp"], vec!["b.vtp"]]);
+    let listed = opened(pvd.as_bytes(), &files, |file| frames(KIND, file, &Limits::default()));
+    assert_eq!(
+        listed.expect("a list").files.expect("files"),
+        [vec!["a_0.vtp", "sub/a_1.vtp"], vec!["b.vtp"]]
+    );
     let first = frame(&pvd, &files, 0).expect("two pieces");
     assert_eq!((xs(&first), names(&first)), (vec![0.0, 1.0, 2.0], vec!["id", "T"]));
     assert_eq!(first.attributes[0].values, Values::I32(vec![0, 1, 2]));
@@ -120,9 +127,7 @@ fn files_of_a_time_become_a_frame() {
     let longer =
         collection(&[("0.25", "a_0.vtp"), ("0.25", "sub/a_1.vtp"), ("0.5", "b.vtp"), ("0.75", "c.vtp")]);
     let bytes = |index: &str| {
-        opened(index.as_bytes(), &files, |file| {
-            packed(KIND, file, 0, &Limits::default()).expect("two pieces")
-        })
+        opened(index.as_bytes(), &files, |file| packed(file, 0, &Limits::default()).expect("two pieces"))
     };
     assert_eq!(bytes(&pvd), bytes(&longer));
 }
@@ -280,11 +285,11 @@ fn what_is_wrong_with_a_list_is_named() {
     }
     let few = Limits { step_count: 2, particle_count: 1, ..Limits::default() };
     let three = collection(&[("0", "good.vtp"), ("1", "good.vtp"), ("2", "good.vtp")]);
-    let error = opened(three.as_bytes(), &files, |file| samples(KIND, file, &few)).expect_err("three");
+    let error = opened(three.as_bytes(), &files, |file| frames(KIND, file, &few)).expect_err("three");
     assert!(matches!(error, Error::TooLarge { .. }), "{error}");
     let two = folder(&[("a.vtp", piece(&[1.0], &[])), ("b.vtp", piece(&[1.0], &[]))]);
     let pvd = collection(&[("0", "a.vtp"), ("0", "b.vtp")]);
-    let error = opened(pvd.as_bytes(), &two, |file| packed(KIND, file, 0, &few)).expect_err("two");
+    let error = opened(pvd.as_bytes(), &two, |file| packed(file, 0, &few)).expect_err("two");
     assert!(matches!(error, Error::TooLarge { .. }), "{error}");
     // Alone, without access to other files.
     let error = read_particles(whole.as_bytes(), "a.pvd", &Limits::default()).expect_err("no access");

@@ -22,12 +22,13 @@ fn open(path: &str) -> io::Result<Box<dyn ReadAt>> {
 
 fn samples(text: &str) -> Result<Vec<Sample>> {
     let container = ContainerFile { file: &text.as_bytes(), name: "a.xmf", open: &open };
-    xdmf::samples(&container, &Limits::default())
+    Ok(xdmf::frames(&container, &Limits::default())?.samples)
 }
 
 fn read(text: &str, index: usize) -> Result<ParticleFrame> {
     let container = ContainerFile { file: &text.as_bytes(), name: "a.xmf", open: &open };
-    xdmf::read(&container, index, &Limits::default())
+    let limits = Limits::default();
+    xdmf::frames(&container, &limits)?.read(&container, index, &limits)
 }
 
 fn within(grids: &str) -> String {

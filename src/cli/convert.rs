@@ -218,6 +218,25 @@ impl ConvertPlan {
         Ok(check_outputs(&planned, &self.selection.found, &self.obstacles, &self.outputs, &others)?)
     }
 
+    /// Says that results of other particles of the same frames are replaced: they were made with another condition.
+    fn warn_of_other_particles(&self, console: &Console) {
+        let Some(records) = &self.records else { return };
+        let (done, chosen) = (records.done(), self.options.r#where.as_ref().map(ToString::to_string));
+        let other = selected_files(&self.selection.sequences).find_map(|file| {
+            let name = file.stem();
+            let settings = records.settings(&done.get(Path::new(&name))?.last()?.settings)?;
+            (settings.get("where") != chosen.as_ref()).then(|| (name, settings.get("where").cloned()))
+        });
+        if let Some((name, condition)) = other {
+            let made = condition
+                .map_or("without --where".to_owned(), |condition| format!("with --where '{condition}'"));
+            console.warning(format_args!(
+                "{name} was made {made}, and is replaced: to keep both, choose another folder, or names such as --out \
+                 'out/other.####.glb'"
+            ));
+        }
+    }
+
     /// Converts the frames, and combines them into sequence files.
     fn run(&self, mut batch: Batch, folder: OutFolder, console: &mut Console) -> Result<CommandOutcome> {
         for selected in &self.selection.sequences {
@@ -239,6 +258,7 @@ impl ConvertPlan {
                 format!("{}: finished frames are recorded in this folder: make it writable", folder.display())
             })?;
         }
+        self.warn_of_other_particles(console);
         folder.keep();
         let mut stage = UsdStageWriter::new(&self.outputs, || {
             let InputSelection { sequences, unselected, .. } = &self.selection;

@@ -22,8 +22,8 @@ use meniscus::watch::status_store::StatusStore;
 use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
     ContainerFile, Format, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind,
-    ReadAt, Result, Sample, Values, abc, bgeo, completeness, compression, container, csv, gltf, hdf5,
-    houdini, is_complete, json, lammps, looks_like_particles, npy, obj, pcd, ply, png, probe, prt, read_mesh,
+    ReadAt, Result, Values, abc, bgeo, completeness, compression, container, csv, gltf, hdf5, houdini,
+    is_complete, json, lammps, looks_like_particles, npy, obj, pcd, ply, png, probe, prt, read_mesh,
     read_obstacle, read_particles, read_provenance, stl, usda, usdc, vdb, vtk, xdmf, xyz_ext,
 };
 use twox_hash::XxHash3_64;
@@ -65,8 +65,8 @@ pub(crate) const TARGETS: &[Target] = &[
     compressed("prt", |bytes| checked(prt::read(bytes, &limits()))),
     compressed("pcd", |bytes| checked(pcd::read(bytes, &limits()))),
     plain("json", |bytes| checked(json::read(bytes, &limits()))),
-    compressed("hdf5", |bytes| container(bytes, bytes, hdf5::samples, hdf5::read)),
-    compressed("xdmf", |bytes| list(bytes, xdmf::samples, xdmf::read)),
+    compressed("hdf5", |bytes| container(bytes, bytes, hdf5::frames)),
+    compressed("xdmf", |bytes| list(bytes, xdmf::frames)),
     compressed("vtk_index", vtk_index),
     plain("lammps", |bytes| steps(ProbedKind::Format(Format::LammpsDump), bytes, lammps::read)),
     plain("atoms", |bytes| steps(ProbedKind::Format(Format::XyzAtoms), bytes, xyz_ext::read)),
@@ -189,12 +189,11 @@ fn steps(kind: ProbedKind, bytes: &[u8], read: fn(&[u8], &Limits) -> Result<Part
     }
 }
 
-type ReadSamples = fn(&ContainerFile, &Limits) -> Result<Vec<Sample>>;
-type ReadSample = fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame>;
+type FindFrames = fn(&ContainerFile, &Limits) -> Result<container::ContainerFrames>;
 
 /// Reads the first frames of a container. The first files that each names have the bytes `further`; the memory
 /// for these counts once.
-fn container(bytes: &[u8], further: &[u8], samples: ReadSamples, read: ReadSample) {
+fn container(bytes: &[u8], further: &[u8], frames: FindFrames) {
     const OPENED_MAX: usize = 2;
     let opened = Cell::new(0);
     let open = |_: &str| {
@@ -205,30 +204,23 @@ fn container(bytes: &[u8], further: &[u8], samples: ReadSamples, read: ReadSampl
             .ok_or(ErrorKind::NotFound.into())
     };
     let file = ContainerFile { file: &bytes, name: "f", open: &open };
-    let count = samples(&file, &limits()).map_or(1, |samples| samples.len());
-    for index in 0..count.min(3) {
+    let Ok(found) = frames(&file, &limits()) else { return };
+    for index in 0..found.samples.len().clamp(1, 3) {
         opened.set(0);
-        checked(read(&file, index, &limits()));
+        checked(found.read(&file, index, &limits()));
     }
 }
 
 /// Reads the first frames of a text that names files. These have the bytes after the first zero byte, if any.
-fn list(bytes: &[u8], samples: ReadSamples, read: ReadSample) {
+fn list(bytes: &[u8], frames: FindFrames) {
     let end = bytes.iter().position(|&byte| byte == 0);
     let (text, further) = end.map_or((bytes, bytes), |end| (&bytes[..end], &bytes[end + 1..]));
-    container(text, further, samples, read);
+    container(text, further, frames);
 }
 
 fn vtk_index(bytes: &[u8]) {
     const KIND: ProbedKind = ProbedKind::Format(Format::VtkIndex);
-    list(
-        bytes,
-        |file, limits| {
-            let _ = container::further_files(KIND, file, limits);
-            container::samples(KIND, file, limits)
-        },
-        |file, index, limits| read_particles(&container::packed(KIND, file, index, limits)?, "f", limits),
-    );
+    list(bytes, |file, limits| container::frames(KIND, file, limits));
 }
 
 fn vdb_grids(bytes: &[u8]) {

@@ -262,3 +262,23 @@ fn few_particles_at_one_position_are_found() {
         );
     }
 }
+
+/// Results of one kind of particles are not replaced by those of another without a word.
+#[test]
+fn results_of_another_condition_are_replaced_with_a_warning() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let rows: String =
+        block(6, 0.1).iter().map(|[x, y, z]| format!("{x},{y},{z},{}\n", i32::from(*x > 0.2))).collect();
+    fs::write(path.join("f.1.csv"), format!("x,y,z,kind\n{rows}")).expect("written");
+    let convert = |condition: &str| {
+        let typed = ["convert", "f.1.csv", "--out", "out", "--format", "obj", "--spacing", "0.1"];
+        let result = meniscus(path, &[&typed[..], &["--where", condition]].concat());
+        assert_eq!(result.status, 0, "{}", result.err);
+        result.err
+    };
+    assert!(!convert("kind == 1").contains("is replaced"));
+    assert!(!convert("kind == 1").contains("is replaced"));
+    let warning = convert("kind == 0");
+    assert!(warning.contains("f.1 was made with --where 'kind == 1', and is replaced"), "{warning}");
+}

@@ -16,7 +16,7 @@ use super::placement;
 use super::read::{MESHES, is_own_sequence};
 use super::scene::{Geometry, GeometryKind, Scene, vectors};
 use crate::batches::ReadAt;
-use crate::container::{ContainerFile, ContainerReader, Sample, frame_at};
+use crate::container::{ContainerFile, ContainerFrames, ContainerReader, Sample, frame_at};
 use crate::data::{FilePositions, ParticleFrame, Values};
 use crate::error::Result;
 use crate::limits::Limits;
@@ -27,8 +27,11 @@ use crate::text::excerpt;
 
 pub(super) const READER: ContainerReader = ContainerReader {
     meshes: Some(MESHES),
-    ..ContainerReader::new(samples, |file, index, limits| read_sample(file.file, index, limits))
+    ..ContainerReader::new(|file, limits| Ok(ContainerFrames::new(samples(file, limits)?, READ)))
 };
+
+const READ: fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame> =
+    |file, index, limits| read_sample(file.file, index, limits);
 
 /// The largest difference between a time, in frames, and a whole frame.
 const FRAME_TOLERANCE: f64 = 1e-3;

@@ -133,7 +133,7 @@ fn rounded(frame: &ParticleFrame) -> Vec<[f64; 3]> {
 fn points_of_all_objects_are_read_in_world_space() {
     let bytes = points_archive();
     assert!(bytes == SEED, "write these bytes to tests/fuzz/corpus/abc/points.abc: {}", bytes.escape_ascii());
-    let samples = with_file(&bytes, |file| (READER.samples)(file, &Limits::default())).expect("samples");
+    let samples = with_file(&bytes, |file| (READER.open)(file, &Limits::default())).expect("samples").samples;
     let stated: Vec<_> = samples.iter().map(|sample| (sample.number, sample.time)).collect();
     assert_eq!(stated, [(1, Some(1.0 / 24.0)), (2, Some(2.0 / 24.0)), (4, Some(4.0 / 24.0))]);
 
@@ -310,8 +310,8 @@ fn damaged_points_are_read_or_rejected() {
         for damage in [0x01, 0x80, 0xff] {
             let mut damaged = bytes.clone();
             damaged[at] ^= damage;
-            let samples = with_file(&damaged, |file| (READER.samples)(file, &Limits::default()));
-            for index in 0..samples.map_or(1, |samples| samples.len()).min(4) {
+            let samples = with_file(&damaged, |file| (READER.open)(file, &Limits::default()));
+            for index in 0..samples.map_or(1, |frames| frames.samples.len()).min(4) {
                 let Ok(frame) = read(&damaged, index) else { continue };
                 for FileAttribute { arity, values, .. } in &frame.attributes {
                     assert_eq!(values.len(), arity * frame.positions.len());

@@ -4,7 +4,7 @@
 //! ```text
 //!   /PartType0/Coordinates (N, 3), Velocities, ParticleIDs ..           GADGET, SWIFT: PartType0 is gas
 //!   /particles/fluid/arrays/x (N), y, z, u, v, w, rho ..                PySPH
-//!   /Step#0/x (N), y, z ..   /Step#1/ ..                                H5Part: a frame for each step
+//!   /Step#0/x (N), y, z ..   /Step#1/ ..   or /frame_0, /step_0         H5Part: a frame for each step
 //!   /data/100/particles/water/position/x (N) ..                         openPMD: a frame for each iteration
 //!   /VTKHDF/Points (N, 3), PointData/v                                  VTK
 //!   /any/group/pos (N, 3), vel   or   x (N), y, z   or records          any other program
@@ -24,7 +24,7 @@ use hdf5_reader::group::Group;
 
 use crate::batches::ReadAt;
 use crate::columns::position_rank;
-use crate::container::{ContainerFile, ContainerReader, Sample, frame_at};
+use crate::container::{ContainerFile, ContainerFrames, ContainerReader, ReadFrame, Sample, frame_at};
 use crate::data::{ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
@@ -48,7 +48,7 @@ pub(crate) fn has_user_block(head: &[u8]) -> bool {
 pub(crate) static ROW: FormatRow = FormatRow {
     signatures: &[SIGNATURE],
     beginnings: &[SIGNATURE],
-    particles: Some(ParticleReader::container(ContainerReader::new(samples, read))),
+    particles: Some(ParticleReader::container(ContainerReader::new(frames))),
     ..FormatRow::new(FORMAT, &["h5", "hdf5", "hdf", "h5part"])
 };
 
@@ -57,7 +57,7 @@ pub(crate) static ROW: FormatRow = FormatRow {
 /// # Errors
 /// [`Error::Truncated`] if the file is not complete, [`Error::Invalid`] if it is damaged,
 /// [`Error::Unsupported`] for what `hdf5-reader` cannot read, [`Error::TooLarge`] beyond `limits`.
-pub fn samples(container: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>> {
+pub fn frames(container: &ContainerFile, limits: &Limits) -> Result<ContainerFrames> {
     with_file(container.file, limits, |file| {
         let steps = steps(file)?;
         let sample = |step: &HdfStep| {
@@ -69,32 +69,34 @@ pub fn samples(container: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>
             && only.path.is_empty()
             && find_particles(file, &file.root()?, &mut Vec::new())?.is_none()
         {
-            return Ok(Vec::new());
+            return Ok(ContainerFrames::new(Vec::new(), HdfSteps(steps)));
         }
-        steps.iter().map(sample).collect()
+        let samples = steps.iter().map(sample).collect::<Result<_>>()?;
+        Ok(ContainerFrames::new(samples, HdfSteps(steps)))
     })
 }
 
-/// Reads a frame by its index in [`samples`].
-///
-/// # Errors
-/// Those of [`samples`], and [`Error::Invalid`] if there are no particles.
-pub fn read(container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
-    with_file(container.file, limits, |file| {
-        let steps = steps(file)?;
-        let group = file.group(&file.root()?, &frame_at(FORMAT, &steps, index)?.path)?;
-        let mut notes = Vec::new();
-        match find_particles(file, &group, &mut notes)? {
-            Some(found) => frame(file, found, notes),
-            None => Err(no_particles(file, notes)),
-        }
-    })
+/// The steps of a file.
+#[derive(Debug)]
+struct HdfSteps(Vec<HdfStep>);
+
+impl ReadFrame for HdfSteps {
+    fn read(&self, container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
+        with_file(container.file, limits, |file| {
+            let group = file.group(&file.root()?, &frame_at(FORMAT, &self.0, index)?.path)?;
+            let mut notes = Vec::new();
+            match find_particles(file, &group, &mut notes)? {
+                Some(found) => frame(file, found, notes),
+                None => Err(no_particles(file, notes)),
+            }
+        })
+    }
 }
 
 /// The numbers of a data set, given by its path; it must have this many.
 ///
 /// # Errors
-/// Those of [`read`], and [`Error::Invalid`] if the data set is missing, not numeric or of another length.
+/// Those of [`frames`], and [`Error::Invalid`] if the data set is missing, not numeric or of another length.
 pub(crate) fn read_values(file: &dyn ReadAt, path: &str, count: u64, limits: &Limits) -> Result<Values> {
     with_file(file, limits, |file| {
         let (group, name) = path.rsplit_once('/').unwrap_or(("", path));
@@ -114,11 +116,15 @@ pub(crate) fn read_values(file: &dyn ReadAt, path: &str, count: u64, limits: &Li
 }
 
 /// The group of a frame.
+#[derive(Debug)]
 struct HdfStep {
     number: i64,
     /// From the root; empty for the root itself.
     path: String,
 }
+
+/// What stands before the number in the name of a step's group: H5Part's, and that of scripts.
+const STEP_PREFIXES: &[&str] = &["Step#", "frame_", "step_"];
 
 /// The steps of the file; a file without steps is itself the only one.
 fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
@@ -128,7 +134,9 @@ fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
         let number = name.strip_prefix(after)?.parse().ok()?;
         Some(HdfStep { number, path: format!("{prefix}{name}") })
     };
-    let mut steps: Vec<HdfStep> = groups.iter().filter_map(|name| step("", name, "Step#")).collect();
+    let found =
+        STEP_PREFIXES.iter().map(|prefix| groups.iter().filter_map(|name| step("", name, prefix)).collect());
+    let mut steps: Vec<HdfStep> = found.max_by_key(Vec::len).unwrap_or_default();
     if steps.is_empty() && groups.iter().any(|name| name == "data") {
         let (iterations, _) = file.members(&file.group(&root, "data")?)?;
         steps = iterations.iter().filter_map(|name| step("data/", name, "")).collect();

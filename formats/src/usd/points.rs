@@ -16,7 +16,7 @@ use super::FORMAT;
 use super::composed::{ComposedStage, StagePrim};
 use super::layer::Value;
 use crate::columns::role_of;
-use crate::container::{ContainerFile, ContainerReader, Sample, frame_at};
+use crate::container::{ContainerFile, ContainerFrames, ContainerReader, Sample, frame_at};
 use crate::data::{AttributeRole, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::gltf::SEQUENCE_FRAMES;
@@ -30,8 +30,10 @@ use crate::text::{excerpt, excerpts};
 /// How frames are read from the text form, the binary form and packages.
 pub(crate) const READER: ParticleReader = ParticleReader::container(ContainerReader {
     meshes: Some(super::mesh::READER),
-    ..ContainerReader::new(samples, read)
+    ..ContainerReader::new(|container, limits| Ok(ContainerFrames::new(samples(container, limits)?, READ)))
 });
+
+const READ: fn(&ContainerFile, usize, &Limits) -> Result<ParticleFrame> = read;
 
 /// The row of packages in the table of formats.
 pub(crate) static PACKAGE_ROW: FormatRow = FormatRow {

@@ -37,12 +37,9 @@ fn frames(files: &[(&str, &str)]) -> Result<Vec<(Sample, ParticleFrame)>> {
     let ReadParticles::Sample(reader) = &READER.read else { panic!("the reader reads samples") };
     let limits = Limits::default();
     with_stage(files, |file| {
-        let samples = (reader.samples)(file, &limits)?;
-        samples
-            .into_iter()
-            .enumerate()
-            .map(|(index, sample)| Ok((sample, (reader.read)(file, index, &limits)?)))
-            .collect()
+        let frames = (reader.open)(file, &limits)?;
+        let samples = frames.samples.iter().enumerate();
+        samples.map(|(index, sample)| Ok((*sample, frames.read(file, index, &limits)?))).collect()
     })
 }
 

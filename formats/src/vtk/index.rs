@@ -18,7 +18,9 @@ use serde::Deserialize;
 use super::xml::{neighbor, neighbor_of_type, utf8};
 use super::{INDEX, POLYGONS_NOTE, joined, legacy, xml};
 use crate::batches::read as read_bytes;
-use crate::container::{ContainerFile, ContainerReader, Sample, folder_of, further_path};
+use crate::container::{
+    ContainerFile, ContainerFrames, ContainerReader, ReadFrame, Sample, folder_of, further_path,
+};
 use crate::data::{FileAttribute, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
@@ -31,18 +33,19 @@ use crate::text::excerpt;
 use crate::xml::{XmlEvent, attribute, check_end, parse};
 
 /// The reader of the frames.
-pub(super) const READER: ContainerReader = ContainerReader {
-    files: Some(|container, limits| {
-        let frames = frames_of(&all_bytes(container)?, "", limits)?;
-        Ok(frames.into_iter().map(|frame| frame.paths).collect())
-    }),
-    ..ContainerReader::new(samples, read)
-};
+pub(super) const READER: ContainerReader = ContainerReader::new(|container, limits| {
+    let listed = frames_of(&all_bytes(container)?, "", limits)?;
+    let sample = |(number, frame): (i64, &ListedFrame)| Sample { number, time: frame.time };
+    let samples = (0..).zip(&listed).map(sample).collect();
+    let files = listed.iter().map(|frame| frame.paths.clone()).collect();
+    let mut frames = ContainerFrames::new(samples, ListedFrames(listed));
+    frames.files = Some(files);
+    Ok(frames)
+});
 
-fn samples(container: &ContainerFile, limits: &Limits) -> Result<Vec<Sample>> {
-    let times = frames_of(&all_bytes(container)?, "", limits)?.into_iter().map(|frame| frame.time);
-    Ok((0..).zip(times).map(|(number, time)| Sample { number, time }).collect())
-}
+/// The frames that a container lists.
+#[derive(Debug)]
+struct ListedFrames(Vec<ListedFrame>);
 
 /// The largest list: more than a million files.
 const INDEX_BYTES_MAX: u64 = 256 << 20;
@@ -162,23 +165,24 @@ fn listed_in_xml(text: &[u8]) -> Result<Vec<Listed>> {
 
 // Reads the files of a frame.
 
-fn read(container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
-    let mut frames = frames_of(&all_bytes(container)?, "", limits)?.into_iter();
-    let no_frame = || Error::unsupported(INDEX, "it lists no files yet");
-    let ListedFrame { paths, .. } = frames.nth(index).ok_or_else(no_frame)?;
-    let mut parts = FrameParts {
-        container,
-        limits,
-        is_alone: paths.len() == 1,
-        file_count: 0,
-        point_count: 0,
-        particles: Vec::new(),
-        meshes: Vec::new(),
-        other: None,
-        notes: Vec::new(),
-    };
-    paths.iter().try_for_each(|path| parts.add(path, 0))?;
-    Ok(parts.into_frame())
+impl ReadFrame for ListedFrames {
+    fn read(&self, container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
+        let no_frame = || Error::unsupported(INDEX, "it lists no files yet");
+        let ListedFrame { paths, .. } = self.0.get(index).ok_or_else(no_frame)?;
+        let mut parts = FrameParts {
+            container,
+            limits,
+            is_alone: paths.len() == 1,
+            file_count: 0,
+            point_count: 0,
+            particles: Vec::new(),
+            meshes: Vec::new(),
+            other: None,
+            notes: Vec::new(),
+        };
+        paths.iter().try_for_each(|path| parts.add(path, 0))?;
+        Ok(parts.into_frame())
+    }
 }
 
 /// The files of a frame that were read so far.

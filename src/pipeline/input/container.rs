@@ -17,7 +17,7 @@ use crate::pipeline::files::named_files::{NamedFiles, path_of_named, state_of_fi
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::stamp::FileStamp;
 use meniscus_formats::compression::{decompressed, read_head};
-use meniscus_formats::container::{self, is_container};
+use meniscus_formats::container::{self, ContainerFrames, is_container};
 use meniscus_formats::{
     Codec, ContainerFile, Limits, MeshData, Probe, ProbedKind, ReadAt, Result, Sample, probe,
 };
@@ -87,14 +87,13 @@ impl OpenContainer {
         self.kind
     }
 
-    /// The frames with particles.
+    /// The frames with particles, and how they are read: without the samples and files.
     ///
     /// # Errors
     /// When the structure of the file cannot be read, or it is a file without particles.
-    pub(super) fn frames(&self) -> Result<Vec<ContainerFrame>> {
-        let limits = Limits::default();
-        let samples = self.with(|file| container::samples(self.kind, file, &limits))?;
-        let files = self.with(|file| container::further_files(self.kind, file, &limits))?;
+    pub(super) fn frames(&self) -> Result<(Vec<ContainerFrame>, ContainerFrames)> {
+        let mut found = self.with(|file| container::frames(self.kind, file, &Limits::default()))?;
+        let (samples, files) = (std::mem::take(&mut found.samples), found.files.take());
         let own_bytes = self.own_bytes().saturating_mul(PACKED_FACTOR) / samples.len().max(1) as u64;
         let frame = |(index, sample): (usize, Sample)| {
             let paths = files.as_ref().and_then(|files| files.get(index));
@@ -106,7 +105,7 @@ impl OpenContainer {
             let unpacked_bytes = self.unpacked.as_ref().map_or(0, |bytes| bytes.len() as u64);
             ContainerFrame { sample, files, is_file_beside, size_bytes: bytes.saturating_add(unpacked_bytes) }
         };
-        Ok(samples.into_iter().enumerate().map(frame).collect())
+        Ok((samples.into_iter().enumerate().map(frame).collect(), found))
     }
 
     /// The size of the content, which may be in memory.
@@ -130,8 +129,8 @@ impl OpenContainer {
     ///
     /// # Errors
     /// When the frame cannot be read.
-    pub(super) fn packed(&self, index: usize) -> Result<Option<Vec<u8>>> {
-        let packed = self.with(|file| container::packed(self.kind, file, index, &Limits::default()));
+    pub(super) fn packed(&self, frames: &ContainerFrames, index: usize) -> Result<Option<Vec<u8>>> {
+        let packed = self.with(|file| container::packed(self.kind, file, frames, index, &Limits::default()));
         if !self.is_unchanged()? {
             return Ok(None);
         }
@@ -214,9 +213,9 @@ fn is_beside(path: &str) -> bool {
 /// The files beside a container that it joins to frames: they are no frames of their own.
 pub fn files_joined_by(path: &Path) -> Vec<PathBuf> {
     let files = OpenContainer::open(path).and_then(|open| {
-        let limits = Limits::default();
-        let files = open.map(|open| open.with(|file| container::further_files(open.kind, file, &limits)));
-        Ok(files.transpose()?.flatten().unwrap_or_default())
+        let frames =
+            open.map(|open| open.with(|file| container::frames(open.kind, file, &Limits::default())));
+        Ok(frames.transpose()?.and_then(|frames| frames.files).unwrap_or_default())
     });
     let beside = files.unwrap_or_default().into_iter().flatten().filter(|path| is_beside(path));
     beside.map(|name| path.with_file_name(name)).collect()

@@ -563,7 +563,9 @@ impl Role {
     /// The names by which users refer to the semantic.
     fn names(self) -> &'static [&'static str] {
         match self {
-            Role::Velocity => &["velocity", "velocities", "vel", "v"],
+            Role::Velocity => {
+                &["velocity", "velocities", "vel", "v", "particle_vel", "particle_qd", "f_v", "qd"]
+            }
             Role::Acceleration => &["acceleration", "accelerations", "accel"],
             Role::Color => &["color", "colour", "colors", "colours", "cd", "rgb", "rgba", "displaycolor"],
             Role::Radius => &["radius", "pscale"],

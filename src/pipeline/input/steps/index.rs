@@ -19,7 +19,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use meniscus_formats::compression::{decompressed_so_far, read_head};
-use meniscus_formats::container::is_container;
+use meniscus_formats::container::{ContainerFrames, is_container};
 use meniscus_formats::steps::{FoundStep, find_more_steps, find_steps, may_have_steps};
 use meniscus_formats::{Limits, Probe, ProbedKind, Result, probe};
 use twox_hash::XxHash3_128;
@@ -43,8 +43,8 @@ pub(super) struct StepIndex {
     /// `None` if the file is compressed, or shrank during the pass: then a later pass cannot check whether
     /// the file was appended to.
     edges: Option<FileEnds>,
-    /// The frames of a container, one for each step.
-    container: Option<Vec<ContainerFrame>>,
+    /// The frames of a container, one for each step, and how they are read.
+    container: Option<(Vec<ContainerFrame>, ContainerFrames)>,
     /// Earlier states of the file, the latest last, with the number of leading steps that are unchanged
     /// since.
     before: Vec<(FileStamp, usize)>,
@@ -126,14 +126,14 @@ impl StepIndex {
         })
     }
 
-    /// Whether the file is a container: its steps are not ranges of its bytes.
-    pub(super) fn is_container(&self) -> bool {
-        self.container.is_some()
-    }
-
     /// The frames of a container; empty for other files.
     pub(super) fn frames_of_container(&self) -> &[ContainerFrame] {
-        self.container.as_deref().unwrap_or_default()
+        self.container.as_ref().map(|(frames, _)| &**frames).unwrap_or_default()
+    }
+
+    /// How the frames of a container are read; `None` for other files.
+    pub(super) fn reader(&self) -> Option<&ContainerFrames> {
+        self.container.as_ref().map(|(_, reader)| reader)
     }
 
     /// The time of a step in seconds, if the file states it.
@@ -216,7 +216,7 @@ pub(super) fn index_steps(
 /// read to know.
 fn index_container(path: &Path, before: Option<&StepIndex>, stamp: FileStamp) -> Result<StepIndex> {
     let Some(file) = OpenContainer::open(path)? else { return Ok(StepIndex::none(stamp)) };
-    let frames = file.frames()?;
+    let (frames, reader) = file.frames()?;
     let found = |frame: &ContainerFrame| FoundStep {
         number: Some(frame.sample.number),
         head: [].into(),
@@ -225,13 +225,13 @@ fn index_container(path: &Path, before: Option<&StepIndex>, stamp: FileStamp) ->
     };
     let mut contents = StepIndex::new(file.stamp(), file.kind(), frames.iter().map(found).collect());
     if let Some(before) = before
-        && let Some(frames_before) = &before.container
+        && let Some((frames_before, _)) = &before.container
     {
         let is_kept =
             |(now, before): &(&ContainerFrame, &ContainerFrame)| now.files.is_some() && now == before;
         contents.keep(before, frames.iter().zip(frames_before).take_while(is_kept).count());
     }
-    contents.container = Some(frames);
+    contents.container = Some((frames, reader));
     Ok(contents)
 }
 

@@ -295,8 +295,8 @@ pub(crate) fn read_part(frame: &Path, by: IndexPolicy) -> Option<Result<Option<S
 /// Like [`read_step`], of a container.
 fn read_sample(file: &Path, index: usize, contents: &StepIndex) -> Result<Option<StampedBytes>> {
     let open = OpenContainer::open(file)?.filter(|open| open.stamp() == contents.stamp);
-    let Some(open) = open else { return Ok(None) };
-    let bytes = open.packed(index)?;
+    let (Some(open), Some(frames)) = (open, contents.reader()) else { return Ok(None) };
+    let bytes = open.packed(frames, index)?;
     Ok(bytes.map(|bytes| StampedBytes { bytes, stamp: contents.stamp, named: open.named_files() }))
 }
 
@@ -304,9 +304,11 @@ fn read_sample(file: &Path, index: usize, contents: &StepIndex) -> Result<Option
 pub(crate) fn named_by_unreadable(frame: &Path) -> Option<Arc<NamedFiles>> {
     let (file, step) = step_of(frame).map_or((frame, None), |(file, step)| (file, Some(step)));
     let open = OpenContainer::open(file).ok()??;
-    let index = || step_index(file).ok()?.index_of(step?).ok();
     // The files that were wanted before an error are known.
-    let _ = open.packed(index().unwrap_or(0));
+    if let Ok((_, frames)) = open.frames() {
+        let index = || step_index(file).ok()?.index_of(step?).ok();
+        let _ = open.packed(&frames, index().unwrap_or(0));
+    }
     open.named_files()
 }
 
@@ -317,7 +319,7 @@ pub(crate) fn named_by_unreadable(frame: &Path) -> Option<Arc<NamedFiles>> {
 /// When the system reports an error, the file has no such step, or the step cannot be decompressed.
 pub(crate) fn read_step(file: &Path, step: &str, by: IndexPolicy) -> Result<Option<StampedBytes>> {
     let Some(contents) = by.index(file)? else { return Ok(None) };
-    if contents.is_container() {
+    if contents.reader().is_some() {
         return read_sample(file, contents.index_of(step)?, &contents);
     }
     let found = contents.step(step)?;
