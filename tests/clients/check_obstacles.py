@@ -2,7 +2,7 @@
 tetrahedron covered with particles (paper, Fig. 15 and 16).
 
     clear       no vertex is deeper in the obstacle than a quarter of a voxel
-    no void     wherever the fluid reaches the obstacle, the mesh is within half a voxel of
+    no void     wherever the fluid reaches the obstacle, the mesh is within a quarter of a voxel of
                 the obstacle, except next to the contact line, where its edge is rounded
     certified   the frame's certificate holds, and the report states the same depth of the deepest vertex
 
@@ -23,9 +23,8 @@ from mesh_files import read_ply
 from project import DATA, WORK, Check, convert, data_is_there
 
 FOLDER = WORK / "obstacles"
-# Largest depth of a vertex in the obstacle, and largest distance of the mesh from a wet wall, in voxels: a layer of
-# particles is thinner than the ball of one, and smoothing draws its face from the wall.
-DEPTH_MAX, GAP_MAX = 0.25, 0.5
+# Largest depth of a vertex in the obstacle, and largest distance of the mesh from a wet wall, in voxels.
+DEPTH_MAX = 0.25
 # A point of the obstacle is wet if its distance from a particle is less than the radius of a lone drop
 # plus this margin, in voxels. With the negative margin, the fluid covers the wet points. With the positive margin, a
 # void may be between, which is narrower than the threshold of two voxels and so gets filled.
@@ -98,7 +97,7 @@ def measured(name, particles, obstacle, voxel_size, wet_margin, contact_width=No
     faults = []
     if depth > DEPTH_MAX:
         faults.append(f"a vertex is {depth:.3f} h deep in the obstacle")
-    if gap > GAP_MAX:
+    if gap > DEPTH_MAX:
         faults.append(f"the surface is {gap:.3f} h from the obstacle where there is fluid")
     if wet_count < 200:
         faults.append(f"only {wet_count} places of the obstacle are wet")

@@ -114,7 +114,8 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
 
 /// Whether a text starts like a table of something else than particles: its header names no position; or it also names
 /// a time and no id, and each of the first rows has a later time than the one before, as those of a probe. Without a
-/// header, it is one if its first column increases like a time and is not whole as ids are, unless the name of the file excludes a log of times.
+/// header, it is one if its first column increases like a time and is not whole as ids are, unless the name of the file
+/// excludes a log of times.
 /// `head` ends with a whole line, or the file.
 pub(crate) fn is_other_table(head: &[u8], may_be_log: bool) -> bool {
     let (text, limits) = (super::decoded(head), Limits::default());

@@ -111,8 +111,8 @@ pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<CommandOutc
     Ok(counts.outcome())
 }
 
-/// The files that the arguments name: of a folder or a pattern, those that `convert` takes. A file with several steps yields each step; a file whose steps cannot
-/// be listed is returned as it is, and reading it reports the error.
+/// The files that the arguments name: of a folder or a pattern, those that `convert` takes. A file with several steps
+/// yields each step; a file whose steps cannot be listed is returned as it is, and reading it reports the error.
 fn files_of(path: &Path, console: &mut Console) -> Box<dyn Iterator<Item = PathBuf>> {
     let alone = Box::new(iter::once(path.to_owned()));
     if (path.symlink_metadata().is_ok() && !path.is_dir()) || step_of(path).is_some() {

@@ -97,6 +97,7 @@ impl ParticleFilter {
         positions: &Positions<'_>,
         attributes: &[Attribute],
     ) -> Result<(OwnedPositions, Vec<Attribute>), String> {
+        // Most conditions need no coordinates.
         if self.needed(attributes).is_ok() {
             let mask = self.mask(attributes, positions.len())?;
             return Ok(rows_of(positions, attributes, &mask));

@@ -431,7 +431,8 @@ const THIN_MIN_VOXELS: f64 = 0.9;
 /// The limits of a particle's company are sums of weights within this distance, in spacings.
 const COMPANY_RADIUS: f64 = 2.6;
 
-/// Radius of the smallest ball that the grid resolves wherever it is, in units of the settings' radii. No semi-axis of a ball, or of a particle stretched by velocity, is shorter.
+/// Radius of the smallest ball that the grid resolves wherever it is, in units of the settings' radii. No semi-axis of a
+/// ball, or of a particle stretched by velocity, is shorter.
 fn resolved_radius(settings: &Settings) -> f32 {
     (settings.start.resolved_voxels() * settings.voxel_size / settings.unit_radius()) as f32
 }
