@@ -2,8 +2,8 @@
 tetrahedron covered with particles (paper, Fig. 15 and 16).
 
     clear       no vertex is deeper in the obstacle than a quarter of a voxel
-    no void     wherever the fluid reaches the obstacle, the mesh is within a quarter of a voxel of
-                the obstacle, except next to the contact line, where its edge is rounded
+    no void     wherever fluid covers the obstacle, the mesh is within a quarter of a voxel of the obstacle,
+                except next to the contact line, where its edge is rounded
     certified   the frame's certificate holds, and the report states the same depth of the deepest vertex
 
 The obstacle in the dam breaks is splashsurf's icosphere, scaled and moved to where most of the water is. The
@@ -25,13 +25,13 @@ from project import DATA, WORK, Check, convert, data_is_there
 FOLDER = WORK / "obstacles"
 # Largest depth of a vertex in the obstacle, and largest distance of the mesh from a wet wall, in voxels.
 DEPTH_MAX = 0.25
-# A point of the obstacle is wet if its distance from a particle is less than the radius of a lone drop
-# plus this margin, in voxels. With the negative margin, the fluid covers the wet points. With the positive margin, a
-# void may be between, which is narrower than the threshold of two voxels and so gets filled.
-COVERED, APART = -0.5, 1.0
-# Points so near to the contact line, in voxels, are not checked: the edge of the fluid is rounded. A point is dry if
-# it is farther from the particles than half the reach of kernels. A tetrahedron is covered, so it has no such line.
-CONTACT_WIDTH = 1.5
+# Fluid covers a point of the obstacle if the surface without the obstacle contains the place at this distance in
+# front of the point, in voxels. Thinner films end where the mesh meets the obstacle; a void below the place is
+# narrower than the threshold, and so gets filled.
+FILM = 1.25
+VOID_THRESHOLD = 2.0
+# Points so near to the contact line, in voxels, are not checked: the edge of the fluid is rounded.
+CONTACT_WIDTH = 1.0
 # The mesh rounds sharp edges of the obstacle up to this distance, in voxels: wet points near them are not
 # checked.
 EDGE_WIDTH = 1.0
@@ -48,8 +48,8 @@ def main():
     if data_is_there():
         for name, voxel_size in FRAMES.items():
             check.line(name, *dam_break(name, voxel_size))
-    check.line("tetrahedron", *tetrahedron("tetrahedron", 0.02, COVERED))
-    check.line("tetrahedron, particles apart", *tetrahedron("apart", 0.08, APART))
+    check.line("tetrahedron", *tetrahedron("tetrahedron", 0.02))
+    check.line("tetrahedron, particles apart", *tetrahedron("apart", 0.08, has_void=True))
     check.end()
 
 
@@ -64,10 +64,10 @@ def dam_break(name, voxel_size):
     obstacle.apply_scale(radius)
     obstacle.apply_translation(particles[int(np.argmax(counts))])
     outside = ~obstacle.contains(particles)
-    return measured(name.split(".")[0], particles[outside], obstacle, voxel_size, COVERED, CONTACT_WIDTH)
+    return measured(name.split(".")[0], particles[outside], obstacle, voxel_size)
 
 
-def tetrahedron(name, lift, wet_margin):
+def tetrahedron(name, lift, has_void=False):
     """Checks a tetrahedron with particles at a distance of `lift` from its faces, as in the paper."""
     corners = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)], float)
     faces = [(0, 1, 2), (0, 3, 1), (0, 2, 3), (1, 3, 2)]
@@ -75,24 +75,26 @@ def tetrahedron(name, lift, wet_margin):
     particles, _ = trimesh.sample.sample_surface_even(obstacle, 4000, seed=7)
     closest, _, triangles = obstacle.nearest.on_surface(particles)
     particles = closest + lift * obstacle.face_normals[triangles]
-    return measured(name, particles, obstacle, 0.04, wet_margin)
+    return measured(name, particles, obstacle, 0.04, has_void)
 
 
-def measured(name, particles, obstacle, voxel_size, wet_margin, contact_width=None):
+def measured(name, particles, obstacle, voxel_size, has_void=False):
     """Reconstructs the surface of the particles around the obstacle. Returns figures and faults."""
     points, wall, out = FOLDER / f"{name}.csv", FOLDER / f"{name}.obj", FOLDER / "out"
     np.savetxt(points, particles, delimiter=",", header="x,y,z", comments="", fmt="%.9g")
     obstacle.export(wall)
-    status, said, frames = convert(
-        [points], out, "--voxel-size", str(voxel_size), "--obstacle", wall, "--void-threshold", "2", "--format", "ply,glb"
-    )
-    frame = frames.get(points.name, {})
-    if status or frame.get("status") != "converted":
-        return f"exit status {status}", [said.strip()]
-    vertices, triangles = read_ply(out / f"{name}.ply")
+    options = ["--voxel-size", str(voxel_size), "--format", "ply,glb"]
+    at_wall = ["--obstacle", wall, "--void-threshold", str(VOID_THRESHOLD)]
+    surfaces = []
+    for more in [], at_wall:
+        status, said, frames = convert([points], out, *options, *more)
+        frame = frames.get(points.name, {})
+        if status or frame.get("status") != "converted":
+            return f"exit status {status}", [said.strip()]
+        vertices, triangles = read_ply(out / f"{name}.ply")
+        surfaces.append(trimesh.Trimesh(vertices, triangles, process=False))
     depth = deepest(obstacle, vertices, voxel_size)
-    surface = trimesh.Trimesh(vertices, triangles, process=False)
-    gap, wet_count = widest_gap(obstacle, particles, surface, frame["settings"], wet_margin, contact_width)
+    gap, wet_count = widest_gap(obstacle, *surfaces, voxel_size)
     report = frame["obstacles"]
     faults = []
     if depth > DEPTH_MAX:
@@ -105,7 +107,7 @@ def measured(name, particles, obstacle, voxel_size, wet_margin, contact_width=No
         faults.append(f"not certified: {frame['certificate']}")
     if abs(report["deepest_vertex_voxels"] - depth) > 0.02:
         faults.append(f"the report says {report['deepest_vertex_voxels']} h deep")
-    if wet_margin > 0 and not report["void_voxels_filled"]:
+    if has_void and not report["void_voxels_filled"]:
         faults.append("the report counts no filled void")
     figures = f"{depth:.3f} h deep, gaps of {gap:.3f} h at {wet_count} wet places, {report['void_voxels_filled']} voxels filled"
     return figures, faults
@@ -119,20 +121,16 @@ def deepest(obstacle, vertices, voxel_size):
     return max(trimesh.proximity.signed_distance(obstacle, vertices[near]).max(), 0.0) / voxel_size
 
 
-def widest_gap(obstacle, particles, surface, settings, wet_margin, contact_width):
+def widest_gap(obstacle, without, surface, voxel_size):
     """The largest distance of the surface from a wet point of the obstacle, in voxels; and the number of wet
-    points."""
-    voxel_size = settings["voxel_size"]
-    # As far from a lone particle as its surface.
-    depth = 0.36 * settings["blend"]
-    places, _ = trimesh.sample.sample_surface(obstacle, 20000, seed=1)
-    distances, _ = cKDTree(particles).query(places)
-    is_wet = distances < depth + wet_margin * voxel_size
+    points. `without` is the surface without the obstacle."""
+    places, faces = trimesh.sample.sample_surface(obstacle, 20000, seed=1)
+    in_front = places + FILM * voxel_size * obstacle.face_normals[faces]
+    # trimesh's signed distances are positive inside.
+    is_wet = trimesh.proximity.signed_distance(without, in_front) > 0
+    from_dry, _ = cKDTree(places[~is_wet]).query(places) if not is_wet.all() else (np.inf, None)
     is_flat = edge_distances(obstacle, places) > EDGE_WIDTH * voxel_size
-    wet = places[is_wet & is_flat]
-    if contact_width:
-        dry = places[distances > 0.5 * settings["blend"]]
-        wet = wet[cKDTree(dry).query(wet)[0] > contact_width * voxel_size]
+    wet = places[is_wet & is_flat & (from_dry > CONTACT_WIDTH * voxel_size)]
     _, gaps, _ = trimesh.proximity.closest_point(surface, wet)
     return gaps.max() / voxel_size, len(wet)
 

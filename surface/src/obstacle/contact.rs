@@ -22,7 +22,8 @@
 //!
 //! A gap narrower than ε is filled, and one a little wider becomes narrower, so a gap that widens slowly does
 //! not open suddenly. φ_0 − c is no distance, so smoothing begins with a redistancing. A wall that is wet stays
-//! wet: there, φ stays below φ_0 − c + 1 or −φ_o.
+//! wet: there, φ stays below −φ_o or an upper bound that moved with φ_0. The upper bound of spheres, which may be
+//! far from φ_0, is lowered to φ_0 − c + 1 instead.
 //!
 //! Intersections: φ = max(φ, −φ_o), after smoothing and the offset. Smoothing sees the fluid inside the
 //! obstacle instead of an edge at the wall, so it neither rounds that edge nor lifts it off the wall, and the
@@ -48,6 +49,7 @@ use crate::grid::{Field, LEAF_EDGE, Leaf, ROW_COUNT, offset_in_leaf};
 use crate::level_set::{NEAREST_TO_ZERO, NarrowBand};
 use crate::mesh::Mesh;
 use crate::parallel::Loops as _;
+use crate::rasterize::Start;
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::Lattice;
 
@@ -76,11 +78,13 @@ impl ContactStats {
 }
 
 /// Fills the gaps between φ_0 and the obstacles that are narrower than `void_threshold` voxels; 0 fills none.
-/// Lets the bounds allow that, and the cut by [`cut_off_at_obstacles`]. `obstacle` returns the distances to
-/// the obstacles in the leaf with a given origin, clamped to the half width of the band.
+/// Lets the bounds allow that, and the cut by [`cut_off_at_obstacles`]. `start` is what φ_0 is made of.
+/// `obstacle` returns the distances to the obstacles in the leaf with a given origin, clamped to the half width
+/// of the band.
 pub fn fill_gaps_at_obstacles(
     obstacle: impl Fn(IVec3) -> ObstacleLeaf + Sync,
     void_threshold: f32,
+    start: Start,
     band: &mut NarrowBand,
     [lower, upper]: [&mut Field; 2],
 ) -> ContactStats {
@@ -95,7 +99,7 @@ pub fn fill_gaps_at_obstacles(
             ObstacleLeaf::Inside => &inside,
             ObstacleLeaf::Near(distances) => distances,
         };
-        simd::dispatch(FillKernel { obstacle, void_threshold, half_width, phi, lower, upper })
+        simd::dispatch(FillKernel { obstacle, void_threshold, start, half_width, phi, lower, upper })
     };
     fields.halved().map(of_leaf).reduce(ContactStats::default, ContactStats::merge)
 }
@@ -108,6 +112,7 @@ const CONTINUATION: f32 = 3.0;
 struct FillKernel<'a> {
     obstacle: &'a Leaf,
     void_threshold: f32,
+    start: Start,
     half_width: f32,
     phi: &'a mut Leaf,
     lower: &'a mut Leaf,
@@ -143,7 +148,11 @@ impl Kernel for FillKernel<'_> {
             filled.store(self.phi.row_mut(row));
             V::select(is_filled, least, lower.min(filled)).store(self.lower.row_mut(row));
             let is_wet = V::both(V::both(zero.lt(obstacle), zero.lt(faded)), filled.lt(zero));
-            let held = V::select(is_wet, upper.min(filled.add(one)), upper);
+            let held = match self.start {
+                Start::Spheres => upper.min(filled.add(one)),
+                Start::Kernels => upper.sub(growth),
+            };
+            let held = V::select(is_wet, held, upper);
             held.max(wall).store(self.upper.row_mut(row));
         }
         stats

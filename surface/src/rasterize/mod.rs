@@ -447,6 +447,7 @@ fn level_sets(measured: NearDistances, scene: &RasterParams, regions: &Regions) 
         fill_gaps_at_obstacles(
             |origin| scene.obstacle_before_offset(origin),
             scene.void_threshold,
+            radii.start,
             &mut band,
             [&mut lower, &mut upper],
         )
