@@ -1,7 +1,8 @@
 //! Opens HDF5 files with the crate `hdf5-reader`, within the limits of this crate.
 //!
 //! The crate wants storage that it may keep and share, and a container only lends its file. So the crate runs
-//! in a thread of its own while this one has the file, and asks it for pieces:
+//! in a thread of its own while this one has the file, and asks it for pieces. What the crate knows of the
+//! structure is kept from frame to frame, because it looks names up one by one:
 //!
 //! ```text
 //!   this thread                                      thread of the crate
@@ -12,7 +13,7 @@
 //! The crate checks what it reads of the structure against the file. How much it may allocate for data is set
 //! here, before it does.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::io;
 use std::sync::mpsc::{Sender, SyncSender, channel, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -35,7 +36,14 @@ use crate::named_arrays::NamedArray;
 use crate::number::NumberType;
 use crate::text::{escaped, excerpt, excerpts};
 
-/// Runs `work` with an open file.
+/// A file of which the crate keeps what it knows of the structure.
+pub(super) struct OpenFile {
+    file: Hdf5File,
+    linked: Arc<LinkedFiles>,
+    byte_count: u64,
+}
+
+/// Runs `work` with a file that is opened, and returns this file, too.
 ///
 /// # Errors
 /// Those of `work` and of the file; [`Error::Truncated`] if the file is shorter than it states, or was not
@@ -44,13 +52,40 @@ pub(super) fn with_file<T: Send>(
     file: &dyn ReadAt,
     limits: &Limits,
     work: impl FnOnce(&HdfFile) -> Result<T> + Send,
-) -> Result<T> {
+) -> Result<(T, OpenFile)> {
     let byte_count = file.size_bytes()?;
+    lend(file, || {
+        let open = OpenFile::open(byte_count, limits)?;
+        Ok((work(&HdfFile::of(&open, limits))?, open))
+    })
+}
+
+/// Runs `work` with a file that was opened before.
+///
+/// # Errors
+/// Those of `work` and of the file.
+pub(super) fn with_open_file<T: Send>(
+    open: &OpenFile,
+    file: &dyn ReadAt,
+    limits: &Limits,
+    work: impl FnOnce(&HdfFile) -> Result<T> + Send,
+) -> Result<T> {
+    lend(file, || work(&HdfFile::of(open, limits)))
+}
+
+thread_local! {
+    /// Where the thread of the crate asks for pieces of the file that it was lent.
+    static LENDER: RefCell<Option<Sender<Option<PieceRequest>>>> = const { RefCell::new(None) };
+}
+
+/// Runs `work` in another thread, which may ask for pieces of the file until it ends.
+fn lend<T: Send>(file: &dyn ReadAt, work: impl FnOnce() -> Result<T> + Send) -> Result<T> {
     let (requests, received) = channel();
     thread::scope(|scope| {
         let run = move || {
             let _end = EndOfRequests(requests.clone());
-            work(&HdfFile::open(requests, byte_count, limits)?)
+            LENDER.set(Some(requests));
+            work()
         };
         let worker = thread::Builder::new().name("hdf5".into()).spawn_scoped(scope, run)?;
         while let Ok(Some(PieceRequest { offset, length, reply })) = received.recv() {
@@ -80,7 +115,6 @@ impl Drop for EndOfRequests {
 
 /// The file of another thread.
 struct LentFile {
-    requests: Sender<Option<PieceRequest>>,
     byte_count: u64,
 }
 
@@ -96,9 +130,13 @@ impl Storage for LentFile {
         }
         let (reply, answer) = sync_channel(1);
         let is_gone = |_| io::Error::from(io::ErrorKind::BrokenPipe);
-        self.requests
-            .send(Some(PieceRequest { offset, length, reply }))
-            .map_err(|_| io::Error::from(io::ErrorKind::BrokenPipe))?;
+        let request = PieceRequest { offset, length, reply };
+        let is_sent = LENDER.with_borrow(|lender| {
+            lender.as_ref().is_some_and(|requests| requests.send(Some(request)).is_ok())
+        });
+        if !is_sent {
+            return Err(io::Error::from(io::ErrorKind::BrokenPipe).into());
+        }
         Ok(StorageBuffer::from_vec(answer.recv().map_err(is_gone)??))
     }
 }
@@ -140,10 +178,9 @@ impl ExternalLinkResolver for LinkedFiles {
     }
 }
 
-/// An open file.
+/// An open file, while it is lent.
 pub(super) struct HdfFile<'a> {
-    file: Hdf5File,
-    linked: Arc<LinkedFiles>,
+    open: &'a OpenFile,
     pub(super) limits: &'a Limits,
     /// Bytes of data that may still be read.
     budget_bytes: Cell<u64>,
@@ -176,12 +213,8 @@ pub(super) struct HdfField {
 /// The number under which the filter LZF of h5py is registered. `hdf5-reader` lacks it.
 const LZF: u16 = 32000;
 
-impl<'a> HdfFile<'a> {
-    fn open(
-        requests: Sender<Option<PieceRequest>>,
-        byte_count: u64,
-        limits: &'a Limits,
-    ) -> Result<HdfFile<'a>> {
+impl OpenFile {
+    fn open(byte_count: u64, limits: &Limits) -> Result<OpenFile> {
         let budget = limits.decompressed_bytes_of(byte_count);
         let bytes = |count: u64| usize::try_from(count).unwrap_or(usize::MAX);
         let chunk_bytes = bytes(budget / 4);
@@ -208,7 +241,7 @@ impl<'a> HdfFile<'a> {
             max_object_header_bytes: bytes(limits.header_bytes),
             ..OpenOptions::default()
         };
-        let file = Arc::new(LentFile { requests, byte_count });
+        let file = Arc::new(LentFile { byte_count });
         let blocks = BlockCacheStorage::new(file.clone(), BLOCK_BYTES, BLOCK_COUNT);
         let storage = Arc::new(BufferedFile { blocks, file });
         let file = Hdf5File::from_storage_with_options(storage, options).map_err(|error| match error {
@@ -219,18 +252,30 @@ impl<'a> HdfFile<'a> {
             error => error_of(error),
         })?;
         check_complete(&file, byte_count)?;
-        Ok(HdfFile { file, linked, limits, budget_bytes: Cell::new(budget) })
+        Ok(OpenFile { file, linked, byte_count })
+    }
+}
+
+impl<'a> HdfFile<'a> {
+    fn of(open: &'a OpenFile, limits: &'a Limits) -> HdfFile<'a> {
+        let budget_bytes = Cell::new(limits.decompressed_bytes_of(open.byte_count));
+        HdfFile { open, limits, budget_bytes }
     }
 
     /// The root group.
     pub(super) fn root(&self) -> Result<Group> {
-        self.file.root_group().map_err(error_of)
+        self.open.file.root_group().map_err(error_of)
     }
 
     /// A group of a group, given by its path.
     pub(super) fn group(&self, group: &Group, path: &str) -> Result<Group> {
         let mut names = path.split('/').filter(|name| !name.is_empty());
         names.try_fold(group.clone(), |group, name| group.group(name).map_err(error_of))
+    }
+
+    /// The groups in a group.
+    pub(super) fn groups(&self, group: &Group) -> Result<Vec<Group>> {
+        group.groups().map_err(error_of)
     }
 
     /// The names of the groups and of the data sets in a group, sorted: some files have them in any order.
@@ -244,7 +289,7 @@ impl<'a> HdfFile<'a> {
 
     /// A note on each file that links lead to.
     pub(super) fn notes(&self) -> Vec<String> {
-        let files = self.linked.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let files = self.open.linked.0.lock().unwrap_or_else(PoisonError::into_inner);
         let note = |file: &String| format!("links to the file `{}` were not followed", excerpt(file));
         files.iter().map(note).collect()
     }

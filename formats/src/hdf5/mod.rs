@@ -19,6 +19,7 @@
 mod file;
 
 use std::collections::HashSet;
+use std::fmt;
 
 use hdf5_reader::group::Group;
 
@@ -32,7 +33,7 @@ use crate::named_arrays::{NamedArray, frame_of, position_count};
 use crate::number::wide;
 use crate::row::{FormatRow, ParticleReader};
 use crate::text::{excerpt, excerpts};
-use file::{HdfFile, HdfTable, attributes_of, number_in, with_file};
+use file::{HdfFile, HdfTable, OpenFile, attributes_of, number_in, with_file, with_open_file};
 
 /// The format's name in errors.
 const FORMAT: &str = "HDF5";
@@ -58,34 +59,41 @@ pub(crate) static ROW: FormatRow = FormatRow {
 /// [`Error::Truncated`] if the file is not complete, [`Error::Invalid`] if it is damaged,
 /// [`Error::Unsupported`] for what `hdf5-reader` cannot read, [`Error::TooLarge`] beyond `limits`.
 pub fn frames(container: &ContainerFile, limits: &Limits) -> Result<ContainerFrames> {
-    with_file(container.file, limits, |file| {
+    let (found, file) = with_file(container.file, limits, |file| {
         let steps = steps(file)?;
-        let sample = |step: &HdfStep| {
-            let group = file.group(&file.root()?, &step.path)?;
-            Ok(Sample { number: step.number, time: time_of(file, &group)? })
-        };
         // Without steps, the file as a whole is a frame, if it has particles.
         if let [only] = &steps[..]
-            && only.path.is_empty()
-            && find_particles(file, &file.root()?, &mut Vec::new())?.is_none()
+            && only.is_root
+            && find_particles(file, &only.group, &mut Vec::new())?.is_none()
         {
-            return Ok(ContainerFrames::new(Vec::new(), HdfSteps(steps)));
+            return Ok((Vec::new(), steps));
         }
-        let samples = steps.iter().map(sample).collect::<Result<_>>()?;
-        Ok(ContainerFrames::new(samples, HdfSteps(steps)))
-    })
+        let sample =
+            |step: &HdfStep| Ok(Sample { number: step.number, time: time_of(file, &step.group)? });
+        Ok((steps.iter().map(sample).collect::<Result<_>>()?, steps))
+    })?;
+    let (samples, steps) = found;
+    Ok(ContainerFrames::new(samples, HdfSteps { file, steps }))
 }
 
 /// The steps of a file.
-#[derive(Debug)]
-struct HdfSteps(Vec<HdfStep>);
+struct HdfSteps {
+    file: OpenFile,
+    steps: Vec<HdfStep>,
+}
+
+impl fmt::Debug for HdfSteps {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.steps.iter().map(|step| step.number)).finish()
+    }
+}
 
 impl ReadFrame for HdfSteps {
     fn read(&self, container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
-        with_file(container.file, limits, |file| {
-            let group = file.group(&file.root()?, &frame_at(FORMAT, &self.0, index)?.path)?;
+        let step = frame_at(FORMAT, &self.steps, index)?;
+        with_open_file(&self.file, container.file, limits, |file| {
             let mut notes = Vec::new();
-            match find_particles(file, &group, &mut notes)? {
+            match find_particles(file, &step.group, &mut notes)? {
                 Some(found) => frame(file, found, notes),
                 None => Err(no_particles(file, notes)),
             }
@@ -113,14 +121,14 @@ pub(crate) fn read_values(file: &dyn ReadAt, path: &str, count: u64, limits: &Li
         let array = file.read(table)?.pop().ok_or_else(|| invalid("expected numbers"))?;
         Ok(array.values)
     })
+    .map(|(values, _)| values)
 }
 
 /// The group of a frame.
-#[derive(Debug)]
 struct HdfStep {
     number: i64,
-    /// From the root; empty for the root itself.
-    path: String,
+    group: Group,
+    is_root: bool,
 }
 
 /// What stands before the number in the name of a step's group: H5Part's, and that of scripts.
@@ -129,21 +137,24 @@ const STEP_PREFIXES: &[&str] = &["Step#", "frame_", "step_"];
 /// The steps of the file; a file without steps is itself the only one.
 fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
     let root = file.root()?;
-    let (groups, _) = file.members(&root)?;
-    let step = |prefix: &str, name: &str, after: &str| {
-        let number = name.strip_prefix(after)?.parse().ok()?;
-        Some(HdfStep { number, path: format!("{prefix}{name}") })
+    let groups = file.groups(&root)?;
+    let step = |group: &Group, prefix: &str| {
+        let number = group.name().strip_prefix(prefix)?.parse().ok()?;
+        Some(HdfStep { number, group: group.clone(), is_root: false })
     };
-    let found =
-        STEP_PREFIXES.iter().map(|prefix| groups.iter().filter_map(|name| step("", name, prefix)).collect());
+    let steps_of = |groups: &[Group], prefix: &str| -> Vec<HdfStep> {
+        groups.iter().filter_map(|group| step(group, prefix)).collect()
+    };
+    let found = STEP_PREFIXES.iter().map(|prefix| steps_of(&groups, prefix));
     let mut steps: Vec<HdfStep> = found.max_by_key(Vec::len).unwrap_or_default();
-    if steps.is_empty() && groups.iter().any(|name| name == "data") {
-        let (iterations, _) = file.members(&file.group(&root, "data")?)?;
-        steps = iterations.iter().filter_map(|name| step("data/", name, "")).collect();
+    if steps.is_empty()
+        && let Some(data) = groups.iter().find(|group| group.name() == "data")
+    {
+        steps = steps_of(&file.groups(data)?, "");
         let particles = particles_path(file)?.unwrap_or_else(|| "particles".to_owned());
         // Iterations can have fields only.
         if let Some(first) = steps.first()
-            && group_below(file, &file.group(&root, &first.path)?, &particles)?.is_none()
+            && group_below(file, &first.group, &particles)?.is_none()
         {
             steps.clear();
         }
@@ -151,7 +162,7 @@ fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
     if let Some(last) = steps.len().checked_sub(1) {
         file.limits.check_step(FORMAT, last)?;
     } else {
-        steps.push(HdfStep { number: 0, path: String::new() });
+        steps.push(HdfStep { number: 0, group: root, is_root: true });
     }
     steps.sort_by_key(|step| step.number);
     Ok(steps)
