@@ -151,6 +151,48 @@ def test_particles_in_a_box(module, dtype):
     assert np.allclose((grid.aabb.max - grid.aabb.min) / grid.cell_size, grid.ncells_per_dim)
 
 
+def test_box_of_two_corners(module):
+    least = np.array([0, 1, 2])
+    box = module.Aabb3d.from_min_max(min=least, max=[1, 2, 3.5])
+    least[0] = 9
+    assert (
+        box.min.tolist() == [0, 1, 2] and box.max.tolist() == [1, 2, 3.5] and box.min.dtype == box.max.dtype == np.float64
+    )
+    assert box.contains_point([0, 1, 2]) and box.contains_point(np.array([0.5, 1.5, 3])) and not box.contains_point(box.max)
+    assert not box.contains_point([0.5, 1.5, 3.5]) and not box.contains_point([-0.1, 1.5, 3])
+    assert not module.Aabb3d.from_min_max([1, 0, 0], [0, 1, 1]).contains_point([0.5, 0.5, 0.5])
+    for wrong in (lambda: module.Aabb3d.from_min_max([0, 0], [1, 1, 1]), lambda: box.contains_point([0])):
+        with pytest.raises(ValueError, match="length 3|three numbers"):
+            wrong()
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_box_of_points(module, dtype):
+    particles = lattice(10, dtype=dtype)
+    box = module.Aabb3d.from_points(particles)
+    assert box.min.tolist() == [0, 0, 0] and box.max.tolist() == [float(dtype(0.9))] * 3 and box.max.dtype == np.float64
+    assert module.Aabb3d.from_points(np.zeros((0, 3), dtype)).max.tolist() == [0, 0, 0]
+    holed = np.array([[np.nan, 0, 0], [1, 2, -3]], dtype)
+    assert module.Aabb3d.from_points(holed).min.tolist() == [1, 0, -3]
+    # A box of half of the particles, which leaves out those on its upper faces.
+    box = module.Aabb3d.from_points(particles[particles[:, 0] < 0.55])
+    made = module.reconstruct_surface(particles, **USUAL, aabb_min=box.min, aabb_max=box.max)
+    assert np.array_equal(made.particle_inside_aabb, [box.contains_point(particle) for particle in particles])
+    assert made.particle_inside_aabb.sum() == 5 * 9 * 9
+    # And a box of a part of the surface.
+    box = module.Aabb3d.from_points(made.mesh.vertices[made.mesh.vertices[:, 0] < 0.3])
+    crop = {"mesh_aabb_min": box.min, "mesh_aabb_max": box.max}
+    cropped = module.reconstruction_pipeline(particles, **USUAL, **crop)[0].mesh.vertices
+    assert len(cropped) > 0 and (cropped >= box.min.astype(dtype)).all() and (cropped <= box.max.astype(dtype)).all()
+
+
+def test_box_of_wrong_points():
+    with pytest.raises(ValueError, match=r"points must have the shape \(N, 3\)"):
+        compat.Aabb3d.from_points(np.zeros((2, 2)))
+    with pytest.raises(TypeError, match="points"):
+        compat.Aabb3d.from_points([["a", "b", "c"]])
+
+
 def test_grid_is_that_of_the_level_set():
     grid = compat.reconstruct_surface(lattice(6), **USUAL).grid
     values, least = pm.reconstruct(lattice(6), spacing=0.1, voxel_size=0.8 * RADIUS).level_set.dense()
@@ -167,6 +209,22 @@ def test_lengths_are_in_particle_radii(module):
     particles = lattice(6)
     for function in (module.reconstruct_surface, lambda *a, **k: module.reconstruction_pipeline(*a, **k)[1]):
         assert function(particles, **USUAL).grid.cell_size == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize("function", [compat.reconstruct_surface, compat.reconstruction_pipeline])
+@pytest.mark.parametrize(
+    ("radius", "size", "instead"), [(0.05, 0.04, "0.8"), (0.002, 0.001, "0.5"), (0.05, 0.0531, "1.062")]
+)
+def test_absolute_cube_sizes_are_refused(function, radius, size, instead):
+    with pytest.raises(ValueError, match=r"particle radii.*older convention.*cube_size / particle_radius") as caught:
+        function(lattice(2, 2 * radius), particle_radius=radius, smoothing_length=2.0, cube_size=size)
+    assert f"{size:g} is less than" in str(caught.value) and str(caught.value).endswith(f"which is {instead}")
+
+
+def test_least_cube_size_is_that_of_the_method():
+    compat.reconstruct_surface(lattice(1), **{**USUAL, "cube_size": 0.0532})
+    with pytest.raises(pm.OptionError, match="voxel"):
+        pm.reconstruct(lattice(1), spacing=2 * RADIUS, voxel_size=0.0531 * RADIUS)
 
 
 @pytest.mark.parametrize("density", [1.0, 8000.0])
@@ -376,7 +434,8 @@ def test_other_names_say_what_to_use():
     with pytest.raises(AttributeError, match="'nothing'$"):
         compat.nothing  # noqa: B018
     theirs = pytest.importorskip("pysplashsurf")
-    assert all(hasattr(theirs, name) and not hasattr(compat, name) for name in compat._INSTEAD)
+    missing = {name for name in dir(theirs) if not name.startswith("_") and not hasattr(compat, name)}
+    assert missing - {"sys", "pysplashsurf"} == {*compat._INSTEAD}
 
 
 def test_docstrings():
@@ -397,7 +456,8 @@ def test_page_has_an_example_and_every_argument(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     exec(re.search(r"```python\n(.*?)```", section, re.DOTALL)[1], {"points": lattice(6, 0.05)})
     assert os.path.getsize("surface.vtk") > 1000
-    for name in {*inspect.signature(compat.reconstruction_pipeline).parameters, "global_neighborhood_list"}:
+    missing = {*compat._INSTEAD, "vertex_vertex_connectivity"}
+    for name in {*inspect.signature(compat.reconstruction_pipeline).parameters, "global_neighborhood_list"} | missing:
         assert f"`{name}`" in section, name
 
 
@@ -424,8 +484,8 @@ def test_classes_have_the_members_that_callers_use(name):
     if name == "MeshType":
         assert missing <= {"name", "value"}
     else:
-        # Constructors and what the removed functions take.
-        assert missing <= {"from_min_max", "from_points", "vertex_vertex_connectivity"}
+        # What the removed functions take.
+        assert missing <= {"vertex_vertex_connectivity"}
 
 
 @pytest.mark.parametrize("threshold", [0.4, 0.6, 0.8])

@@ -4,12 +4,15 @@ use std::collections::HashMap;
 use std::fs::{self, File};
 use std::io::BufReader;
 use std::path::Path;
+use std::process::Stdio;
+use std::thread;
+use std::time::Duration;
 
 use meniscus::surface::Preset;
 use meniscus_formats::{OutputFormat, read_provenance};
 use tempfile::tempdir;
 
-use crate::program::scene::{RunResult, block, meniscus, names_in, write_ply, write_sequence};
+use crate::program::scene::{RunResult, block, command, meniscus, names_in, write_ply, write_sequence};
 
 /// Size of a cell in the tests, in pixels.
 const CELL: [usize; 2] = [112, 84];
@@ -299,6 +302,26 @@ fn what_is_varied_by_default_suits_every_preset_and_grid() {
         let result = meniscus(path, &[&tune[..], &more[..]].concat());
         assert_eq!((result.status, commands(&result.out).len()), (0, 16), "{more:?}: {}", result.err);
     }
+}
+
+/// Who stops `tune` keeps the cells that were done.
+#[test]
+fn sheet_is_there_before_all_cells_are_done() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("block.ply"), &block(12, 0.0));
+    let blends: Vec<String> = (0..50).map(|step| format!("{}d", 1.4 + 0.01 * f64::from(step))).collect();
+    let vary = format!("blend={}", blends.join(","));
+    let tune = ["tune", "block.ply", "-o", "t.png", "--size", SIZE, "--vary", &vary, "--threads", "1"];
+    let mut process = command(path, &tune).stdout(Stdio::null()).spawn().expect("the command starts");
+    while !path.join("t.png").exists() {
+        assert!(process.try_wait().expect("a process").is_none(), "it ended without a sheet before");
+        thread::sleep(Duration::from_millis(5));
+    }
+    process.kill().expect("it ran");
+    process.wait().expect("it ended");
+    let seen = Seen::read(&path.join("t.png"));
+    assert!(seen.ink(0, 0, 2) > 0 && seen.ink(1, 0, 2) == 0, "only the first cell has a label");
 }
 
 #[test]

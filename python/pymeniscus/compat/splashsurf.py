@@ -47,6 +47,8 @@ Path: TypeAlias = "str | os.PathLike[str]"
 #: measured with pysplashsurf 0.14.1 and a smoothing length of 2, within 0.02 for thresholds from 0.3 to 0.8.
 _OFFSET_PER_THRESHOLD = 1.1
 _DEFAULT_THRESHOLD = 0.6
+#: The least voxel size, in particle radii: the method blends over 1.7 spacings, which may be at most 64 voxels.
+_LEAST_CUBE_SIZE = 3.4 / 64
 
 _BLOCKS = "space is always divided into blocks, whose size is fixed"
 _QUADS = "the quads are those of dual contouring, and not pairs of triangles that are chosen by their shape"
@@ -83,14 +85,20 @@ _warned: set[str] = set()
 
 #: What to use instead of other names of pysplashsurf.
 _INSTEAD = {
+    "MeshAttribute": "attributes are arrays, in `point_attributes` and `cell_attributes` of MeshWithData",
+    "NeighborhoodLists": "pymeniscus makes no lists of neighbours",
     "SphInterpolator": "give `attributes_to_interpolate` to reconstruction_pipeline",
+    "VertexVertexConnectivity": "the edges are those of `triangles`",
     "barnacle_decimation": "the mesh has no such triangles",
+    "bgeo": "pymeniscus.read reads BGEO files",
     "convert_tris_to_quads": "give `generate_quads=True` to reconstruction_pipeline",
     "laplacian_smoothing_normals_parallel": "give `normals_smoothing_iters` to reconstruction_pipeline",
     "laplacian_smoothing_parallel": "the surface is smooth without it",
     "marching_cubes": "pymeniscus makes surfaces of particles only",
     "marching_cubes_cleanup": "the mesh needs no cleanup; pymeniscus.reconstruct has `decimate`",
     "neighborhood_search_spatial_hashing_parallel": "pymeniscus makes no lists of neighbours",
+    "run_pysplashsurf": "pymeniscus.convert runs the command of this package",
+    "run_splashsurf": "pymeniscus.convert runs the command of this package",
 }
 
 
@@ -108,14 +116,38 @@ class MeshType(enum.Enum):
 
 @dataclass(frozen=True, eq=False)
 class Aabb3d:
-    """A box along the axes: the corners `min` and `max`, (3,) float64, in world units."""
+    """A box along the axes: the corners `min` and `max`, (3,) float64, in world units.
+
+    The functions take it as ``aabb_min=box.min, aabb_max=box.max``, and `mesh_aabb_min` and `mesh_aabb_max` too.
+    """
 
     min: NDArray[np.float64]
     max: NDArray[np.float64]
 
+    @staticmethod
+    def from_min_max(min: Reals, max: Reals) -> Aabb3d:
+        """The box with copies of these corners, three numbers each in world units. Raises `ValueError` for another
+        shape. If `min` is not less than `max` along every axis, the box contains no point."""
+        return Aabb3d(_corner("min", min), _corner("max", max))
+
+    @staticmethod
+    def from_points(points: Any) -> Aabb3d:
+        """The smallest box around points, (N, 3) real numbers in world units.
+
+        NaN is ignored, and without points both corners are zero. The greatest points are on the upper faces, so
+        `contains_point`, `aabb_min` and `aabb_max` leave them out. Raises `ValueError` for another shape, and
+        `TypeError` if the points are not real numbers.
+        """
+        array = as_points(points).astype(np.float64)
+        if len(array) == 0:
+            return Aabb3d(np.zeros(3), np.zeros(3))
+        return Aabb3d(np.fmin.reduce(array), np.fmax.reduce(array))
+
     def contains_point(self, point: Reals) -> bool:
-        """Whether a point is in the box. Points on the upper faces are not."""
-        return bool(((self.min <= point) & (point < self.max)).all())
+        """Whether a point, three numbers, is in the box. Points on the upper faces are not. Raises `ValueError` for
+        another shape."""
+        position = _corner("point", point)
+        return bool(((self.min <= position) & (position < self.max)).all())
 
 
 @dataclass(frozen=True, eq=False)
@@ -361,7 +393,8 @@ def reconstruct_surface(
     smoothing_length : float
         Has no effect. 2 is the usual value, and any other causes a warning.
     cube_size : float
-        Edge length of a voxel, in particle radii.
+        Edge length of a voxel, in particle radii, at least 0.0532. An absolute length, the older convention, must
+        be divided by `particle_radius`; one that would make smaller voxels raises `ValueError`.
     iso_surface_threshold : float
         Between 0 and 1. Each 0.1 less than 0.6 moves the surface outward by 0.11 particle spacings, but by at
         most 2 voxels, and more moves it inward.
@@ -571,6 +604,13 @@ def _check(arguments: Mapping[str, Any]) -> None:
     for name in ("particle_radius", "cube_size", "smoothing_length", "rest_density", "iso_surface_threshold"):
         if not 0 < arguments[name] < np.inf:
             raise ValueError(f"{name} must be a positive number, not {arguments[name]}")
+    size, radius = arguments["cube_size"], arguments["particle_radius"]
+    if size < _LEAST_CUBE_SIZE:
+        raise ValueError(
+            f"cube_size is in particle radii, and {size:g} is less than 0.0532, the least; 0.5 to 1 is usual. If it is an "
+            "absolute length (the older convention, that of the library splashsurf_lib), give "
+            f"cube_size / particle_radius, which is {size / radius:g}"
+        )
     if arguments["iso_surface_threshold"] >= 1:
         raise ValueError(f"iso_surface_threshold must be less than 1, not {arguments['iso_surface_threshold']}")
     rounds = arguments.get("normals_smoothing_iters") or 0
@@ -637,12 +677,18 @@ def _box(name: str, least: Reals | None, greatest: Reals | None) -> tuple[NDArra
         return None
     if least is None or greatest is None:
         raise ValueError(f"give both {name}_min and {name}_max, or neither")
-    corners = np.asarray(least, np.float64), np.asarray(greatest, np.float64)
-    if corners[0].shape != (3,) or corners[1].shape != (3,):
-        raise ValueError(f"{name}_min and {name}_max must be three numbers each")
+    corners = _corner(f"{name}_min", least), _corner(f"{name}_max", greatest)
     if not (corners[0] < corners[1]).all():
         raise ValueError(f"{name}_min must be less than {name}_max along every axis, not {least} and {greatest}")
     return corners
+
+
+def _corner(name: str, values: Reals) -> NDArray[np.float64]:
+    """A copy of three numbers."""
+    corner = np.array(values, np.float64)
+    if corner.shape != (3,):
+        raise ValueError(f"{name} must be three numbers, not an array of the shape {corner.shape}")
+    return corner
 
 
 def _is_inside(points: NDArray[Any], box: tuple[NDArray[Any], NDArray[Any]], is_below: np.ufunc) -> NDArray[np.bool_]:

@@ -11,7 +11,9 @@
 //! come from the same options, so they cannot differ.
 
 use std::path::{Path, PathBuf};
+use std::slice;
 use std::str::FromStr;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
 use meniscus_formats::{UpAxis, listed};
@@ -69,14 +71,19 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
         ));
     }
     console.show_bar(grid.cells.len());
-    let (cells, counts) = pool.install(|| tuning.cells(&grid, console));
+    let part = tuning.made_from(&grid);
+    let write = |sheet: &Sheet| file.write(sheet, "tune", slice::from_ref(&part));
+    let (counts, written) = pool.install(|| tuning.cells(&grid, &write, console))?;
     console.hide_bar();
-    if counts.done_count > 0 {
-        let part = tuning.made_from(&grid);
-        console.print_line(file.write(&tuning.sheet(&grid, cells), "tune", &[part])?);
+    if let Some(written) = written {
+        console.print_line(written);
     }
     Ok(counts.outcome())
 }
+
+/// The sheet is written when its first cell has a picture, and again after a cell that ends as much later, so that
+/// it can be looked at while others are computed.
+const BETWEEN_WRITES: Duration = Duration::from_secs(2);
 
 /// The formats that the printed commands write.
 const CONVERTED: [OutputFormat; 2] = [OutputFormat::Glb, OutputFormat::Vdb];
@@ -243,10 +250,17 @@ impl<'a> Tuning<'a> {
         Ok(Tuning { args, session, frame, file: file.clone(), without, settings, viewpoint })
     }
 
-    /// Renders all cells, and collects the command of each cell with a picture.
-    fn cells(&self, grid: &Grid, console: &mut Console) -> (Vec<(Cell, Option<CommandLine>)>, DoneCounts) {
+    /// Renders all cells, and writes the sheet as often as they are worth it. Returns what the last write says, if
+    /// any cell has a picture.
+    fn cells(
+        &self,
+        grid: &Grid,
+        write: &dyn Fn(&Sheet) -> Result<String>,
+        console: &mut Console,
+    ) -> Result<(DoneCounts, Option<String>)> {
         let (mut counts, mut reported) = (DoneCounts::default(), ReportedWarnings::default());
-        let mut cells = Vec::new();
+        let mut sheet = self.empty_sheet(grid);
+        let mut last_write: Option<Instant> = None;
         for (index, (cell, settings)) in grid.cells.iter().zip(&self.settings).enumerate() {
             let number = index + 1;
             let label = self.label(number, &grid.label(cell), settings);
@@ -257,7 +271,7 @@ impl<'a> Tuning<'a> {
                 Err(error) => Err(anyhow!(with_causes(error))),
             };
             counts.add(rendered.is_ok());
-            let (content, command) = match rendered {
+            let content = match rendered {
                 Ok((made, settings, picture)) => {
                     let of_settings = settings.warnings().into_iter().map(Warning::Sentence);
                     for warning in of_settings.chain(made.warnings.iter().cloned()) {
@@ -272,17 +286,24 @@ impl<'a> Tuning<'a> {
                     console.print_line(format_args!("{label}: {seconds:.2} s, {triangles}"));
                     console.print_line(command.text());
                     lines.push(triangles);
-                    (CellPicture::Picture(picture), Some(command))
+                    sheet.footer.push(format!("{number}: {}", command.short_text()));
+                    CellPicture::Picture(picture)
                 }
                 Err(error) => {
                     console.error(format_args!("cell {label}: {}", with_causes(&error)));
-                    (CellPicture::Text(reason(&error, self.frame.path())), None)
+                    CellPicture::Text(reason(&error, self.frame.path()))
                 }
             };
             console.advance_bar();
-            cells.push((Cell { content, lines }, command));
+            sheet.blocks[0].cells[index] = Cell { content, lines };
+            let is_due = last_write.is_none_or(|written| written.elapsed() >= BETWEEN_WRITES);
+            if counts.done_count > 0 && is_due && number < grid.cells.len() {
+                write(&sheet)?;
+                last_write = Some(Instant::now());
+            }
         }
-        (cells, counts)
+        let written = (counts.done_count > 0).then(|| write(&sheet)).transpose()?;
+        Ok((counts, written))
     }
 
     fn rendered(&self, settings: &Settings) -> Result<(Reconstruction, Picture)> {
@@ -309,16 +330,14 @@ impl<'a> Tuning<'a> {
         format!("{number}: {}", label.trim_start())
     }
 
-    fn sheet(&self, grid: &Grid, cells: Vec<(Cell, Option<CommandLine>)>) -> Sheet {
+    /// The sheet before any cell is computed.
+    fn empty_sheet(&self, grid: &Grid) -> Sheet {
         let particles = pluralize(self.frame.particles().len(), "particle");
         let title = format!("{}: {particles}; {}", self.name(), grid.meaning());
-        let commands = cells.iter().enumerate().filter_map(|(index, (_, command))| {
-            Some(format!("{}: {}", index + 1, command.as_ref()?.short_text()))
-        });
-        let footer = commands.collect();
-        let cells = cells.into_iter().map(|(cell, _)| cell).collect();
+        let cell = |_| Cell { content: CellPicture::Text("not computed yet".to_owned()), lines: Vec::new() };
+        let cells = grid.cells.iter().map(cell).collect();
         let blocks = vec![CellGroup { title: String::new(), cells, columns: grid.columns }];
-        Sheet { title, picture_size: self.args.size.map(usize::from), blocks, footer }
+        Sheet { title, picture_size: self.args.size.map(usize::from), blocks, footer: Vec::new() }
     }
 
     fn made_from(&self, grid: &Grid) -> SheetPart {

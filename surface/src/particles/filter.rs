@@ -367,10 +367,11 @@ const KEYWORDS: [&str; 4] = ["and", "or", "not", "in"];
 fn tokens(text: &str) -> Result<Vec<Token<'_>>, String> {
     let ends_word = |c: char| c.is_whitespace() || "'\"()[],=<>!&|".contains(c);
     let mut tokens = Vec::new();
-    let mut rest = text;
+    let (mut rest, mut character) = (text, 1);
     loop {
-        rest = rest.trim_start();
-        let character = text[..text.len() - rest.len()].chars().count() + 1;
+        let spaces = rest.len() - rest.trim_start().len();
+        character += rest[..spaces].chars().count();
+        rest = &rest[spaces..];
         let Some(first) = rest.chars().next() else { return Ok(tokens) };
         let (kind, length) = if matches!(first, '\'' | '"') {
             let length = rest[1..].find(first);
@@ -383,6 +384,7 @@ fn tokens(text: &str) -> Result<Vec<Token<'_>>, String> {
             (TokenKind::Word(&rest[..length]), length)
         };
         tokens.push(Token { kind, character });
+        character += rest[..length].chars().count();
         rest = &rest[length..];
     }
 }
