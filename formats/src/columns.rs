@@ -153,9 +153,8 @@ pub fn aliases(role: AttributeRole) -> &'static [&'static str] {
 pub(crate) fn position_rank(name: &str) -> Option<usize> {
     let stem = matched_part(name).to_ascii_lowercase();
     // Without the empty stem: an array has a name. `x` and `r` are whole vectors here, not components; the last
-    // ones are those of Genesis, Newton and Taichi.
-    let mut names =
-        POSITIONS.iter().skip(1).chain(&["x", "xyz", "r", "particle_pos", "particle_q", "f_x", "q"]);
+    // ones are those of Genesis and Newton.
+    let mut names = POSITIONS.iter().skip(1).chain(&["x", "xyz", "r", "particle_pos", "particle_q"]);
     names.position(|&alias| alias == stem)
 }
 
@@ -445,10 +444,7 @@ const WORDS: &[(&str, &[&str])] = &[
 
 /// Names of each role in lower case, best first.
 const ROLES: &[(AttributeRole, &[&str])] = &[
-    (
-        AttributeRole::Velocity,
-        &["velocity", "velocities", "vel", "v", "particle_vel", "particle_qd", "f_v", "qd"],
-    ),
+    (AttributeRole::Velocity, &["velocity", "velocities", "vel", "v", "particle_vel", "particle_qd"]),
     (AttributeRole::Acceleration, &["acceleration", "accelerations", "accel"]),
     (AttributeRole::Normal, &["normal", "normals", "n"]),
     (AttributeRole::Color, &["color", "colour", "colors", "colours", "cd", "rgb", "rgba", "displaycolor"]),

@@ -51,7 +51,7 @@ pub struct ContainerFile<'a> {
 /// parts. The bytes are decompressed.
 pub type OpenFurther<'a> = dyn Fn(&str) -> io::Result<Box<dyn ReadAt>> + 'a;
 
-/// The frames of a container. They are found once, so that the time to read all of them grows with their number.
+/// The frames of a container. They are found once.
 #[derive(Clone, Debug)]
 pub struct ContainerFrames {
     /// The frames with particles, in the order of the file.
@@ -119,8 +119,7 @@ pub fn is_container(kind: ProbedKind) -> bool {
 /// Those of the format's reader: [`Error::Unsupported`] for a file without particles, for example, or if the kind is not
 /// that of a container.
 pub fn frames(kind: ProbedKind, container: &ContainerFile, limits: &Limits) -> Result<ContainerFrames> {
-    let not_one = || Error::unsupported(kind.name(), "not a file with frames of its own");
-    (reader_of(kind).ok_or_else(not_one)?.1.open)(container, limits)
+    (required_reader_of(kind)?.1.open)(container, limits)
 }
 
 /// The particles of one of the frames, by its index, as bytes that [`crate::read_particles`] reads. Equal particles give
@@ -135,8 +134,7 @@ pub fn packed(
     index: usize,
     limits: &Limits,
 ) -> Result<Vec<u8>> {
-    let not_one = || Error::unsupported(kind.name(), "not a file with frames of its own");
-    let (format, _) = reader_of(kind).ok_or_else(not_one)?;
+    let (format, _) = required_reader_of(kind)?;
     Ok(pack(format, &frames.read(container, index, limits)?))
 }
 
@@ -177,6 +175,11 @@ fn reader_of(kind: ProbedKind) -> Option<(Format, &'static ContainerReader)> {
         ReadParticles::Whole(_) => None,
         ReadParticles::Sample(reader) => Some((format, reader)),
     }
+}
+
+fn required_reader_of(kind: ProbedKind) -> Result<(Format, &'static ContainerReader)> {
+    let not_one = || Error::unsupported(kind.name(), "not a file with frames of its own");
+    reader_of(kind).ok_or_else(not_one)
 }
 
 /// The frame with an index, among those of a file.

@@ -5,7 +5,9 @@
 //!
 //! ```text
 //!   "pos" (N, 3)                    the position, unless the format itself specifies one
-//!   "any" (N, 3)                    the position, if there is no other array of three columns, and no x, y and z
+//!   "q" (N, 3), "qd" (N, 3)         position and velocity of simulators: see PAIRS
+//!   "any" (N, 3)                    the position, if it has real numbers, there is no other array of three columns or
+//!                                   of more rows, and no x, y and z
 //!   "x" (N), "y" (N), "z" (N)       the same, in three arrays
 //!   "vel" (N, 3)                    Velocity
 //!   "vx" (N), "vy" (N), "vz" (N)    joined to "v" (N, 3): Velocity
@@ -47,38 +49,73 @@ pub(crate) fn frame_of(
     let named = positions
         .or_else(|| take_vector_position(&mut arrays, named_position).map(|(_, positions)| positions))
         .or_else(|| take_column_position(&mut arrays));
-    let (only, positions) = match named {
+    let (unnamed, positions) = match named {
         Some(positions) => (None, positions),
-        None => take_vector_position(&mut arrays, only_position)
-            .map(|(name, positions)| (Some(name), positions))?,
+        None => {
+            let index = unnamed_position(&arrays.iter().map(Described::of).collect::<Vec<_>>())?;
+            let NamedArray { name, values, .. } = arrays.remove(index);
+            (Some(name), number::positions(values)?)
+        }
     };
     let mut notes = take_mismatched(&mut arrays, positions.len());
-    notes.extend(only.map(|name| {
-        format!("`{}` is the only array of three columns: it is used as the position", excerpt(&name))
-    }));
     let arrays = joined(arrays);
     let named: Vec<(&str, usize)> = arrays.iter().map(|array| (&*array.name, array.arity)).collect();
-    let roles = roles_of(&named);
+    let mut roles = roles_of(&named);
+    let is_same = |name: &str, other: &str| name.eq_ignore_ascii_case(other);
+    let pair =
+        PAIRS.iter().find(|(position, _)| unnamed.as_ref().is_some_and(|name| is_same(name, position)));
+    if let Some((_, velocity)) = pair
+        && let Some(index) = named.iter().position(|&(name, arity)| arity == 3 && is_same(name, velocity))
+    {
+        roles[index] = Some(AttributeRole::Velocity);
+    }
+    if let (Some(name), None) = (&unnamed, pair) {
+        notes.push(format!("`{}` is used as the position", excerpt(name)));
+    }
     let attribute = |(array, role): (NamedArray, _)| with_role(array.name, array.arity, role, array.values);
     let attributes: Vec<FileAttribute> = arrays.into_iter().zip(roles).map(attribute).collect();
     notes.extend(attributes.iter().filter_map(note_on_diameter));
     Some(ParticleFrame { positions, attributes, notes })
 }
 
-/// The number of particles of arrays that are not read yet, given as name, arity and number of rows: that of
-/// the position. `None` if there is no position among them.
-pub(crate) fn position_count(arrays: &[(&str, usize, usize)]) -> Option<usize> {
-    let vectors: Vec<_> = arrays.iter().filter(|&&(_, arity, _)| arity == 3).collect();
-    let names: Vec<&str> = vectors.iter().map(|(name, ..)| *name).collect();
+/// An array that may not be read yet.
+#[derive(Clone, Copy)]
+pub(crate) struct Described<'a> {
+    pub(crate) name: &'a str,
+    /// Number of values per row.
+    pub(crate) arity: usize,
+    pub(crate) row_count: usize,
+    /// Whether the values are floats.
+    pub(crate) is_real: bool,
+}
+
+impl<'a> Described<'a> {
+    pub(crate) fn of(array: &'a NamedArray) -> Described<'a> {
+        Described {
+            name: &array.name,
+            arity: array.arity,
+            row_count: array.particle_count(),
+            is_real: matches!(array.values, Values::F32(_) | Values::F64(_)),
+        }
+    }
+}
+
+/// The number of particles of arrays: that of the position. `None` if no name says that it is one.
+pub(crate) fn position_count(arrays: &[Described]) -> Option<usize> {
+    let vectors: Vec<_> = arrays.iter().filter(|array| array.arity == 3).collect();
+    let names: Vec<&str> = vectors.iter().map(|array| array.name).collect();
     if let Some(index) = named_position(&names) {
-        return Some(vectors[index].2);
+        return Some(vectors[index].row_count);
     }
-    let singles: Vec<_> = arrays.iter().filter(|&&(_, arity, _)| arity == 1).collect();
-    let columns: Vec<_> = singles.iter().map(|&&(name, ..)| (name, ())).collect();
-    match group_columns(&columns).position {
-        Some([x, ..]) => singles.get(x).map(|&&(.., count)| count),
-        None => only_position(&names).map(|index| vectors[index].2),
-    }
+    let singles: Vec<_> = arrays.iter().filter(|array| array.arity == 1).collect();
+    let columns: Vec<_> = singles.iter().map(|array| (array.name, ())).collect();
+    let [x, ..] = group_columns(&columns).position?;
+    singles.get(x).map(|array| array.row_count)
+}
+
+/// The number of particles of arrays without such a name, if one of them must be the position.
+pub(crate) fn unnamed_position_count(arrays: &[Described]) -> Option<usize> {
+    unnamed_position(arrays).map(|index| arrays[index].row_count)
 }
 
 /// A part of a frame, such as one of several objects in a file: its particles, and arrays with a value for each.
@@ -169,9 +206,28 @@ fn named_position(names: &[&str]) -> Option<usize> {
     ranked.min().map(|(_, index)| index)
 }
 
-/// The position among these names if there is only one, which is that of nothing else.
-fn only_position(names: &[&str]) -> Option<usize> {
-    (names.len() == 1 && role_of(names[0], 3).is_none()).then_some(0)
+/// Names of position and velocity in simulators, which mean something else where they are not together: those of
+/// Taichi's examples and of Newton's bodies.
+const PAIRS: [(&str, &str); 2] = [("f_x", "f_v"), ("q", "qd")];
+
+/// The position among arrays without the name of one: that of a [pair](PAIRS), or the only vector of real numbers,
+/// unless it has a role or another array has more rows.
+fn unnamed_position(arrays: &[Described]) -> Option<usize> {
+    let vectors = || arrays.iter().enumerate().filter(|(_, array)| array.arity == 3);
+    let named = |wanted: &str| {
+        let is_named = |(_, array): &(usize, &Described)| array.name.eq_ignore_ascii_case(wanted);
+        vectors().find(is_named).map(|(index, _)| index)
+    };
+    if let Some((position, _)) =
+        PAIRS.iter().find_map(|(position, velocity)| named(position).zip(named(velocity)))
+    {
+        return Some(position);
+    }
+    let rows_max = arrays.iter().map(|array| array.row_count).max()?;
+    let is_position =
+        |array: &Described| array.is_real && array.row_count == rows_max && role_of(array.name, 3).is_none();
+    let (index, array) = vectors().next()?;
+    (vectors().nth(1).is_none() && is_position(array)).then_some(index)
 }
 
 /// Takes the position from three arrays with one value per particle, chosen by their names.
@@ -299,8 +355,10 @@ mod tests {
         }
         // Columns come first.
         let columns = ["x", "y", "z"].map(|name| array(name, 1));
-        let frame = frame_of(None, columns.into_iter().chain([array("force", 3)]).collect());
-        assert_eq!(frame.expect("columns").attributes[0].name, "force");
+        for name in ["force", "q"] {
+            let frame = frame_of(None, columns.iter().cloned().chain([array(name, 3)]).collect());
+            assert_eq!(frame.expect("columns").attributes[0].name, name);
+        }
     }
 
     #[test]

@@ -119,19 +119,35 @@ fn layouts_with_one_frame_are_read() {
 #[test]
 fn steps_and_iterations_are_frames() {
     let table = [
-        ("steps.h5part", vec![(0, 0.0), (2, 0.5), (10, 2.5)], format!("id 1 Id 100 105; v {VELOCITY}"), ""),
+        (
+            "steps.h5part",
+            vec![(0, Some(0.0)), (2, Some(0.5)), (10, Some(2.5))],
+            format!("id 1 Id 100 105; v {VELOCITY}"),
+            "",
+        ),
         (
             "openpmd.h5",
-            vec![(20, 10.0), (100, 50.0)],
+            vec![(20, Some(10.0)), (100, Some(50.0))],
             format!("id 1 Id 100 105; mass 1 Mass 0.125 0.125; velocity {VELOCITY}"),
             "positions are in units of 0.001 m",
+        ),
+        (
+            "frames.h5",
+            vec![(0, None), (2, None), (10, None)],
+            format!("id 1 Id 100 105; particle_qd {VELOCITY}"),
+            "",
+        ),
+        (
+            "stacked.h5",
+            vec![(0, None), (1, None), (2, None)],
+            format!("id 1 Id 100 105; mass 1 Mass 0.5 0.5; vel {VELOCITY}"),
+            "skipped `F_x`: it has 3 rows for 6 particles|skipped `time`: it has 3 rows for 6 particles",
         ),
     ];
     for (name, expected, attributes, notes) in table {
         let bytes = file(name);
         let found = samples(&bytes).unwrap();
-        let expected: Vec<_> =
-            expected.into_iter().map(|(number, time)| Sample { number, time: Some(time) }).collect();
+        let expected: Vec<_> = expected.into_iter().map(|(number, time)| Sample { number, time }).collect();
         assert_eq!(found, expected, "of {name}");
         for (index, sample) in found.iter().enumerate() {
             let frame = read(&bytes, index).unwrap_or_else(|error| panic!("{name}: {error}"));
@@ -140,9 +156,29 @@ fn steps_and_iterations_are_frames() {
             assert_eq!(frame.notes.join("|"), notes, "of {name}");
         }
         assert!(read(&bytes, found.len()).is_err());
-        let error = read_particles(&bytes, name, &Limits::default()).unwrap_err().to_string();
+        // What is known of the file from frame to frame changes nothing, whatever their order and wherever they are read.
+        let (bytes, limits) = (&&bytes[..], Limits::default());
+        let frames = hdf5::frames(&container(bytes), &limits).unwrap();
+        let again = |index| frames.read(&container(bytes), index, &limits).unwrap();
+        let alone: Vec<_> = (0..found.len()).map(|index| read(bytes, index).unwrap()).collect();
+        std::thread::scope(|scope| {
+            for index in (0..8).rev().map(|index| index % found.len()) {
+                let (again, alone) = (&again, &alone);
+                scope.spawn(move || assert_eq!(again(index), alone[index], "of {name}"));
+            }
+        });
+        let error = read_particles(bytes, name, &Limits::default()).unwrap_err().to_string();
         assert!(error.contains("frames, and one was expected"), "{error}");
     }
+}
+
+/// The longest vector of real numbers is the position, if nothing has the name of one.
+#[test]
+fn position_without_a_name_is_the_longest_vector() {
+    let frame = read(&file("unnamed.h5"), 0).unwrap();
+    check_positions(&frame, 0.0, "unnamed.h5");
+    assert_eq!(described(&frame), "kind 1 Kind 100 105;");
+    assert_eq!(frame.notes, ["`points of water` is used as the position"]);
 }
 
 #[test]

@@ -222,16 +222,23 @@ impl ConvertPlan {
     fn warn_of_other_particles(&self, console: &Console) {
         let Some(records) = &self.records else { return };
         let (done, chosen) = (records.done(), self.options.r#where.as_ref().map(ToString::to_string));
+        let mut same: Option<&str> = None;
         let other = selected_files(&self.selection.sequences).find_map(|file| {
             let name = file.stem();
-            let settings = records.settings(&done.get(Path::new(&name))?.last()?.settings)?;
+            let id = &*done.get(Path::new(&name))?.last()?.settings;
+            // Frames of a sequence have the same settings.
+            if same == Some(id) {
+                return None;
+            }
+            let settings = records.settings(id)?;
+            same = Some(id);
             (settings.get("where") != chosen.as_ref()).then(|| (name, settings.get("where").cloned()))
         });
         if let Some((name, condition)) = other {
             let made = condition
                 .map_or("without --where".to_owned(), |condition| format!("with --where '{condition}'"));
             console.warning(format_args!(
-                "{name} was made {made}, and is replaced: to keep both, choose another folder, or names such as --out \
+                "{name} was made {made}, and its results of the same formats are replaced: to keep both, choose another folder, or names such as --out \
                  'out/other.####.glb'"
             ));
         }

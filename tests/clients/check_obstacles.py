@@ -131,6 +131,8 @@ def widest_gap(obstacle, without, surface, voxel_size):
     from_dry, _ = cKDTree(places[~is_wet]).query(places) if not is_wet.all() else (np.inf, None)
     is_flat = edge_distances(obstacle, places) > EDGE_WIDTH * voxel_size
     wet = places[is_wet & is_flat & (from_dry > CONTACT_WIDTH * voxel_size)]
+    if len(wet) == 0:
+        return 0.0, 0
     _, gaps, _ = trimesh.proximity.closest_point(surface, wet)
     return gaps.max() / voxel_size, len(wet)
 

@@ -15,20 +15,22 @@
 
 use std::cell::{Cell, RefCell};
 use std::io;
+use std::sync::Arc;
 use std::sync::mpsc::{Sender, SyncSender, channel, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
 use hdf5_reader::error::Error as CrateError;
 use hdf5_reader::group::Group;
 use hdf5_reader::{
-    Attribute, BlockCacheStorage, ByteOrder, Dataset, Datatype, ExternalLinkResolver, FilterRegistry,
-    Hdf5File, OpenOptions, Storage, StorageBuffer,
+    Attribute, BlockCacheStorage, ByteOrder, Dataset, Datatype, ExternalLinkResolver, FilterRegistry, H5Type,
+    Hdf5File, OpenOptions, SliceInfo, SliceInfoElem, Storage, StorageBuffer,
 };
 
 use super::FORMAT;
 use crate::batches::ReadAt;
 use crate::bytes::{Cursor, Endian};
+use crate::columns::position_rank;
+use crate::data::Values;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::lzf;
@@ -39,11 +41,12 @@ use crate::text::{escaped, excerpt, excerpts};
 /// A file of which the crate keeps what it knows of the structure.
 pub(super) struct OpenFile {
     file: Hdf5File,
-    linked: Arc<LinkedFiles>,
+    /// The files that links lead to which were met when it was opened.
+    linked: Vec<String>,
     byte_count: u64,
 }
 
-/// Runs `work` with a file that is opened, and returns this file, too.
+/// Runs `work` with a file that it opens, and returns this file, too.
 ///
 /// # Errors
 /// Those of `work` and of the file; [`Error::Truncated`] if the file is shorter than it states, or was not
@@ -55,8 +58,10 @@ pub(super) fn with_file<T: Send>(
 ) -> Result<(T, OpenFile)> {
     let byte_count = file.size_bytes()?;
     lend(file, || {
-        let open = OpenFile::open(byte_count, limits)?;
-        Ok((work(&HdfFile::of(&open, limits))?, open))
+        let mut open = OpenFile::open(byte_count, limits)?;
+        let result = work(&HdfFile::of(&open, limits))?;
+        open.linked = LINKED.take();
+        Ok((result, open))
     })
 }
 
@@ -70,12 +75,17 @@ pub(super) fn with_open_file<T: Send>(
     limits: &Limits,
     work: impl FnOnce(&HdfFile) -> Result<T> + Send,
 ) -> Result<T> {
-    lend(file, || work(&HdfFile::of(open, limits)))
+    lend(file, || {
+        LINKED.set(open.linked.clone());
+        work(&HdfFile::of(open, limits))
+    })
 }
 
 thread_local! {
     /// Where the thread of the crate asks for pieces of the file that it was lent.
     static LENDER: RefCell<Option<Sender<Option<PieceRequest>>>> = const { RefCell::new(None) };
+    /// The files that links lead to which were met in this thread of the crate.
+    static LINKED: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
 }
 
 /// Runs `work` in another thread, which may ask for pieces of the file until it ends.
@@ -165,15 +175,15 @@ impl Storage for BufferedFile {
 }
 
 /// Remembers the files that links lead to; they are not opened.
-#[derive(Default)]
-struct LinkedFiles(Mutex<Vec<String>>);
+struct LinkedFiles;
 
 impl ExternalLinkResolver for LinkedFiles {
     fn resolve_external_link(&self, file: &str) -> hdf5_reader::error::Result<Option<Hdf5File>> {
-        let mut files = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if !files.iter().any(|known| known == file) && files.len() < 16 {
-            files.push(file.to_owned());
-        }
+        LINKED.with_borrow_mut(|files| {
+            if !files.iter().any(|known| known == file) && files.len() < 16 {
+                files.push(file.to_owned());
+            }
+        });
         Ok(None)
     }
 }
@@ -184,6 +194,15 @@ pub(super) struct HdfFile<'a> {
     pub(super) limits: &'a Limits,
     /// Bytes of data that may still be read.
     budget_bytes: Cell<u64>,
+    /// If data sets are stacks of all steps: which step is read of how many.
+    pub(super) stack: Cell<Option<StackedStep>>,
+}
+
+/// A step of data sets whose first axis is the steps.
+#[derive(Clone, Copy)]
+pub(super) struct StackedStep {
+    pub(super) index: u64,
+    pub(super) count: u64,
 }
 
 /// Columns of numbers: a data set, a column for each field of its records; or values that are all the same.
@@ -198,6 +217,8 @@ pub(super) struct HdfTable {
 
 enum TableSource {
     Stored(Box<Dataset>),
+    /// The part at this index of the first axis.
+    Stacked(Box<Dataset>, u64),
     Constant(f64),
 }
 
@@ -208,6 +229,13 @@ pub(super) struct HdfField {
     offset: usize,
     number: NumberType,
     endian: Endian,
+}
+
+impl HdfField {
+    /// Whether its numbers are floats.
+    pub(super) fn is_real(&self) -> bool {
+        matches!(self.number, NumberType::F16 | NumberType::F32 | NumberType::F64)
+    }
 }
 
 /// The number under which the filter LZF of h5py is registered. `hdf5-reader` lacks it.
@@ -231,11 +259,10 @@ impl OpenFile {
                 lzf::unpacked(packed, size).ok_or_else(damaged)
             }),
         );
-        let linked = Arc::new(LinkedFiles::default());
         let options = OpenOptions {
             chunk_cache_bytes: 0,
             filter_registry: Some(filters),
-            external_link_resolver: Some(linked.clone()),
+            external_link_resolver: Some(Arc::new(LinkedFiles)),
             max_chunk_bytes: chunk_bytes,
             max_read_bytes: bytes(budget),
             max_object_header_bytes: bytes(limits.header_bytes),
@@ -252,14 +279,14 @@ impl OpenFile {
             error => error_of(error),
         })?;
         check_complete(&file, byte_count)?;
-        Ok(OpenFile { file, linked, byte_count })
+        Ok(OpenFile { file, linked: Vec::new(), byte_count })
     }
 }
 
 impl<'a> HdfFile<'a> {
     fn of(open: &'a OpenFile, limits: &'a Limits) -> HdfFile<'a> {
         let budget_bytes = Cell::new(limits.decompressed_bytes_of(open.byte_count));
-        HdfFile { open, limits, budget_bytes }
+        HdfFile { open, limits, budget_bytes, stack: Cell::new(None) }
     }
 
     /// The root group.
@@ -273,9 +300,23 @@ impl<'a> HdfFile<'a> {
         names.try_fold(group.clone(), |group, name| group.group(name).map_err(error_of))
     }
 
+    /// The number of steps that data sets of a group are stacks of: the first axis of a position of shape
+    /// (T, N, 3); `None` if there is none.
+    pub(super) fn stacked_steps(&self, group: &Group) -> Result<Option<u64>> {
+        for name in self.members(group)?.1.iter().filter(|name| position_rank(name).is_some()) {
+            if let [count, _, 3] = *group.dataset(name).map_err(error_of)?.shape() {
+                return Ok(Some(count));
+            }
+        }
+        Ok(None)
+    }
+
     /// The groups in a group.
     pub(super) fn groups(&self, group: &Group) -> Result<Vec<Group>> {
-        group.groups().map_err(error_of)
+        let (names, _) = self.members(group)?;
+        // Opens them at once, but also the data sets, of which some may be beyond the crate.
+        let all = group.groups();
+        all.or_else(|_| names.iter().map(|name| group.group(name)).collect()).map_err(error_of)
     }
 
     /// The names of the groups and of the data sets in a group, sorted: some files have them in any order.
@@ -289,9 +330,8 @@ impl<'a> HdfFile<'a> {
 
     /// A note on each file that links lead to.
     pub(super) fn notes(&self) -> Vec<String> {
-        let files = self.open.linked.0.lock().unwrap_or_else(PoisonError::into_inner);
         let note = |file: &String| format!("links to the file `{}` were not followed", excerpt(file));
-        files.iter().map(note).collect()
+        LINKED.with_borrow(|files| files.iter().map(note).collect())
     }
 
     /// A data set of numbers, described by its header. Of any other data set, only a note.
@@ -303,7 +343,7 @@ impl<'a> HdfFile<'a> {
     ) -> Result<Option<HdfTable>> {
         let reason = match group.dataset(name).map_err(error_of) {
             Ok(data) if is_axis(&data) => "it is the axis of a grid".to_owned(),
-            Ok(data) => match table_of(name, data) {
+            Ok(data) => match table_of(name, data, self.stack.get()) {
                 Ok((table, skipped)) => {
                     if !skipped.is_empty() {
                         notes.push(format!(
@@ -333,6 +373,12 @@ impl<'a> HdfFile<'a> {
         self.spend(row_count.saturating_mul(row_bytes))?;
         let bytes = match source {
             TableSource::Stored(data) => data.read_raw_bytes().map_err(error_of)?,
+            TableSource::Stacked(data, step) => {
+                let values = |HdfField { name, arity, number, .. }| {
+                    Ok(NamedArray { name, arity, values: values_of_step(&data, step, number)? })
+                };
+                return fields.into_iter().map(values).collect();
+            }
             TableSource::Constant(value) => {
                 value.to_le_bytes().repeat(usize::try_from(row_count).unwrap_or_default())
             }
@@ -344,6 +390,11 @@ impl<'a> HdfFile<'a> {
         Ok(fields.into_iter().map(array).collect())
     }
 
+    /// The bytes of data that were read, or less if they are beyond the limit.
+    pub(super) fn spent_bytes(&self) -> u64 {
+        self.limits.decompressed_bytes_of(self.open.byte_count) - self.budget_bytes.get()
+    }
+
     fn spend(&self, bytes: u64) -> Result<()> {
         let left = self.budget_bytes.get().checked_sub(bytes).ok_or_else(|| {
             let what =
@@ -353,6 +404,29 @@ impl<'a> HdfFile<'a> {
         self.budget_bytes.set(left);
         Ok(())
     }
+}
+
+/// The numbers of one step of a stack.
+fn values_of_step(data: &Dataset, step: u64, number: NumberType) -> Result<Values> {
+    fn part<T: H5Type>(data: &Dataset, step: u64) -> Result<Vec<T>> {
+        let whole = |&end: &u64| SliceInfoElem::Slice { start: 0, end, step: 1 };
+        let further = data.shape().iter().skip(1).map(whole);
+        let selections = std::iter::once(SliceInfoElem::Index(step)).chain(further).collect();
+        Ok(data.read_slice::<T>(&SliceInfo { selections }).map_err(error_of)?.into_iter().collect())
+    }
+    Ok(match number {
+        NumberType::F32 => Values::F32(part(data, step)?),
+        NumberType::F64 => Values::F64(part(data, step)?),
+        NumberType::U8 => Values::U8(part(data, step)?),
+        NumberType::I32 => Values::I32(part(data, step)?),
+        NumberType::I64 => Values::I64(part(data, step)?),
+        NumberType::U32 => Values::I64(part::<u32>(data, step)?.into_iter().map(i64::from).collect()),
+        _ => {
+            let what =
+                "a data set with a row for each step has numbers of an unusual type: save it as float32";
+            return Err(Error::unsupported(FORMAT, what));
+        }
+    })
 }
 
 /// A file ends where its first block states, unless it is still being written.
@@ -378,14 +452,18 @@ impl HdfTable {
     /// The attributes of a data set.
     pub(super) fn attributes(&self) -> Vec<Attribute> {
         match &self.source {
-            TableSource::Stored(data) => data.attributes(),
+            TableSource::Stored(data) | TableSource::Stacked(data, _) => data.attributes(),
             TableSource::Constant(_) => Vec::new(),
         }
     }
 }
 
 /// The layout of a data set, and the names of fields that are not numeric; or why it cannot be a table.
-fn table_of(name: &str, data: Dataset) -> std::result::Result<(HdfTable, Vec<String>), String> {
+fn table_of(
+    name: &str,
+    data: Dataset,
+    stack: Option<StackedStep>,
+) -> std::result::Result<(HdfTable, Vec<String>), String> {
     if has_wider_index(&data) {
         return Err(
             "its maximal shape is larger than its shape, and may number its chunks: save it with maxshape=None"
@@ -397,7 +475,9 @@ fn table_of(name: &str, data: Dataset) -> std::result::Result<(HdfTable, Vec<Str
     let are_plain = plain_numbers(&mut Cursor::new(FORMAT, Endian::Little, &description, 0))
         .map_err(|error| error.to_string())?;
     let mut skipped = Vec::new();
-    let (fields, stride, row_count) = match (data.dtype(), &shape[..]) {
+    let stacked = stack.filter(|stack| shape.len() > 1 && shape[0] == stack.count);
+    let of_frame = if stacked.is_some() { &shape[1..] } else { &shape[..] };
+    let (fields, stride, row_count) = match (data.dtype(), of_frame) {
         (Datatype::Compound { size, fields }, &[row_count]) => {
             let stride = usize::try_from(*size).unwrap_or_default();
             let mut columns = Vec::new();
@@ -440,7 +520,12 @@ fn table_of(name: &str, data: Dataset) -> std::result::Result<(HdfTable, Vec<Str
     if stride == 0 || fields.iter().any(|field| end(field).is_none_or(|end| end > stride)) {
         return Err("it has no values, or fields beyond its rows".into());
     }
-    Ok((HdfTable { source: TableSource::Stored(Box::new(data)), fields, row_count, stride }, skipped))
+    let data = Box::new(data);
+    let source = match stacked {
+        Some(stack) => TableSource::Stacked(data, stack.index),
+        None => TableSource::Stored(data),
+    };
+    Ok((HdfTable { source, fields, row_count, stride }, skipped))
 }
 
 /// The type, byte order and count of the numbers of an element; `None` for other elements.

@@ -4,10 +4,12 @@
 //! ```text
 //!   /PartType0/Coordinates (N, 3), Velocities, ParticleIDs ..           GADGET, SWIFT: PartType0 is gas
 //!   /particles/fluid/arrays/x (N), y, z, u, v, w, rho ..                PySPH
-//!   /Step#0/x (N), y, z ..   /Step#1/ ..   or /frame_0, /step_0         H5Part: a frame for each step
+//!   /Step#0/x (N), y, z ..   /Step#1/ ..                                H5Part: a frame for each step
+//!   /frame_0/pos (N, 3) ..   or /step_0                                 scripts: the same
 //!   /data/100/particles/water/position/x (N) ..                         openPMD: a frame for each iteration
 //!   /VTKHDF/Points (N, 3), PointData/v                                  VTK
 //!   /any/group/pos (N, 3), vel   or   x (N), y, z   or records          any other program
+//!   /pos (T, N, 3), vel                                                 scripts: T frames
 //! ```
 //!
 //! A group has particles if its data sets have names by which `crate::named_arrays` finds a position. The
@@ -18,8 +20,11 @@
 
 mod file;
 
+use std::cmp::Reverse;
 use std::collections::HashSet;
 use std::fmt;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use hdf5_reader::group::Group;
 
@@ -29,11 +34,11 @@ use crate::container::{ContainerFile, ContainerFrames, ContainerReader, ReadFram
 use crate::data::{ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, frame_of, position_count};
+use crate::named_arrays::{Described, NamedArray, frame_of, position_count, unnamed_position_count};
 use crate::number::wide;
 use crate::row::{FormatRow, ParticleReader};
 use crate::text::{excerpt, excerpts};
-use file::{HdfFile, HdfTable, OpenFile, attributes_of, number_in, with_file, with_open_file};
+use file::{HdfFile, HdfTable, OpenFile, StackedStep, attributes_of, number_in, with_file, with_open_file};
 
 /// The format's name in errors.
 const FORMAT: &str = "HDF5";
@@ -59,45 +64,88 @@ pub(crate) static ROW: FormatRow = FormatRow {
 /// [`Error::Truncated`] if the file is not complete, [`Error::Invalid`] if it is damaged,
 /// [`Error::Unsupported`] for what `hdf5-reader` cannot read, [`Error::TooLarge`] beyond `limits`.
 pub fn frames(container: &ContainerFile, limits: &Limits) -> Result<ContainerFrames> {
-    let (found, file) = with_file(container.file, limits, |file| {
-        let steps = steps(file)?;
-        // Without steps, the file as a whole is a frame, if it has particles.
-        if let [only] = &steps[..]
-            && only.is_root
-            && find_particles(file, &only.group, &mut Vec::new())?.is_none()
-        {
-            return Ok((Vec::new(), steps));
-        }
-        let sample =
-            |step: &HdfStep| Ok(Sample { number: step.number, time: time_of(file, &step.group)? });
-        Ok((steps.iter().map(sample).collect::<Result<_>>()?, steps))
+    let found = FoundSteps::find(container.file, limits)?;
+    let sample = |file: &HdfFile, step: &HdfStep| {
+        let time = if step.stack.is_some() { None } else { time_of(file, &step.group)? };
+        Ok(Sample { number: step.number, time })
+    };
+    let samples = with_open_file(&found.file, container.file, limits, |file| {
+        let steps = found.steps.iter().filter(|_| found.have_particles);
+        steps.map(|step| sample(file, step)).collect::<Result<Vec<_>>>()
     })?;
-    let (samples, steps) = found;
-    Ok(ContainerFrames::new(samples, HdfSteps { file, steps }))
+    // What is known of a file with one frame is of no further use.
+    let kept = Mutex::new((samples.len() > 1).then(|| Arc::new(found)));
+    Ok(ContainerFrames::new(samples, HdfSteps(kept)))
 }
 
-/// The steps of a file.
-struct HdfSteps {
+/// An open file with its steps.
+struct FoundSteps {
     file: OpenFile,
+    /// At least one.
     steps: Vec<HdfStep>,
+    /// False for a file without particles, whose only step is the whole file.
+    have_particles: bool,
+    /// The size of the data that were read with it, in bytes: `hdf5-reader` may keep them.
+    read_bytes: AtomicU64,
+}
+
+/// After so many bytes the file is opened again, and its steps are found again.
+const KEPT_BYTES_MAX: u64 = 128 << 20;
+
+impl FoundSteps {
+    fn find(file: &dyn ReadAt, limits: &Limits) -> Result<FoundSteps> {
+        let ((steps, have_particles), file) = with_file(file, limits, |file| {
+            let mut steps = steps(file)?;
+            let have_particles = !steps.is_empty();
+            if !have_particles {
+                steps.push(HdfStep { number: 0, group: file.root()?, stack: None });
+            }
+            Ok((steps, have_particles))
+        })?;
+        Ok(FoundSteps { file, steps, have_particles, read_bytes: AtomicU64::new(0) })
+    }
+}
+
+/// Reads the steps of a file. Keeps the file that they were found in, unless it has only one.
+struct HdfSteps(Mutex<Option<Arc<FoundSteps>>>);
+
+impl HdfSteps {
+    fn kept(&self) -> MutexGuard<'_, Option<Arc<FoundSteps>>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl fmt::Debug for HdfSteps {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_list().entries(self.steps.iter().map(|step| step.number)).finish()
+        f.debug_list()
+            .entries(self.kept().iter().flat_map(|found| &found.steps).map(|step| step.number))
+            .finish()
     }
 }
 
 impl ReadFrame for HdfSteps {
     fn read(&self, container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame> {
-        let step = frame_at(FORMAT, &self.steps, index)?;
-        with_open_file(&self.file, container.file, limits, |file| {
+        let kept = self.kept().clone();
+        let found = match &kept {
+            Some(found) => Arc::clone(found),
+            None => Arc::new(FoundSteps::find(container.file, limits)?),
+        };
+        let step = frame_at(FORMAT, &found.steps, index)?;
+        let frame = with_open_file(&found.file, container.file, limits, |file| {
+            file.stack.set(step.stack);
             let mut notes = Vec::new();
-            match find_particles(file, &step.group, &mut notes)? {
-                Some(found) => frame(file, found, notes),
+            let frame = match find_particles(file, &step.group, &mut notes)? {
+                Some(particles) => frame(file, particles, notes),
                 None => Err(no_particles(file, notes)),
-            }
-        })
+            };
+            found.read_bytes.fetch_add(file.spent_bytes(), Ordering::Relaxed);
+            frame
+        })?;
+        let is_full = found.read_bytes.load(Ordering::Relaxed) > KEPT_BYTES_MAX;
+        if found.steps.len() > 1 {
+            *self.kept() = (!is_full).then_some(found);
+        }
+        Ok(frame)
     }
 }
 
@@ -128,41 +176,53 @@ pub(crate) fn read_values(file: &dyn ReadAt, path: &str, count: u64, limits: &Li
 struct HdfStep {
     number: i64,
     group: Group,
-    is_root: bool,
+    /// If all steps are in the same data sets: the part of this one.
+    stack: Option<StackedStep>,
 }
 
-/// What stands before the number in the name of a step's group: H5Part's, and that of scripts.
+/// What stands before the number in the name of a step's group: H5Part's, and those of scripts.
 const STEP_PREFIXES: &[&str] = &["Step#", "frame_", "step_"];
 
-/// The steps of the file; a file without steps is itself the only one.
+/// The steps of the file; none if it has no particles. A file without steps is itself the only one.
 fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
     let root = file.root()?;
     let groups = file.groups(&root)?;
     let step = |group: &Group, prefix: &str| {
         let number = group.name().strip_prefix(prefix)?.parse().ok()?;
-        Some(HdfStep { number, group: group.clone(), is_root: false })
+        Some(HdfStep { number, group: group.clone(), stack: None })
     };
     let steps_of = |groups: &[Group], prefix: &str| -> Vec<HdfStep> {
         groups.iter().filter_map(|group| step(group, prefix)).collect()
     };
-    let found = STEP_PREFIXES.iter().map(|prefix| steps_of(&groups, prefix));
-    let mut steps: Vec<HdfStep> = found.max_by_key(Vec::len).unwrap_or_default();
-    if steps.is_empty()
-        && let Some(data) = groups.iter().find(|group| group.name() == "data")
-    {
+    let is_named = |name: &str| groups.iter().any(|group| group.name().starts_with(name));
+    let prefix = STEP_PREFIXES.iter().find(|prefix| is_named(prefix));
+    let mut steps = prefix.map(|prefix| steps_of(&groups, prefix)).unwrap_or_default();
+    if let Some(data) = groups.iter().find(|group| group.name() == "data" && steps.is_empty()) {
         steps = steps_of(&file.groups(data)?, "");
-        let particles = particles_path(file)?.unwrap_or_else(|| "particles".to_owned());
-        // Iterations can have fields only.
-        if let Some(first) = steps.first()
-            && group_below(file, &first.group, &particles)?.is_none()
-        {
-            steps.clear();
+    }
+    // Iterations can have fields only.
+    let has_particles =
+        |group: &Group| Ok::<_, Error>(find_particles(file, group, &mut Vec::new())?.is_some());
+    if let Some(first) = steps.first()
+        && !has_particles(&first.group)?
+    {
+        steps.clear();
+    }
+    if steps.is_empty() && has_particles(&root)? {
+        steps.push(HdfStep { number: 0, group: root, stack: None });
+    } else if steps.is_empty() {
+        let count = file.stacked_steps(&root)?.unwrap_or_default();
+        if let Some(last) = count.checked_sub(1) {
+            file.limits.check_step(FORMAT, usize::try_from(last).unwrap_or(usize::MAX))?;
         }
+        let step = |(index, number)| {
+            let stack = Some(StackedStep { index, count });
+            HdfStep { number, group: root.clone(), stack }
+        };
+        steps = (0..count).zip(0..).map(step).collect();
     }
     if let Some(last) = steps.len().checked_sub(1) {
         file.limits.check_step(FORMAT, last)?;
-    } else {
-        steps.push(HdfStep { number: 0, group: root, is_root: true });
     }
     steps.sort_by_key(|step| step.number);
     Ok(steps)
@@ -220,6 +280,26 @@ const FLUIDS: &[&str] = &["fluid", "water", "liquid"];
 
 /// Finds the particles of a step. The notes are on the choice or, if there are no particles, on data sets.
 fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Result<Option<ParticleGroup>> {
+    let named = groups_with(file, step, position_count, true, notes)?;
+    if !named.is_empty() {
+        *notes = Vec::new();
+        return Ok(Some(chosen(named, notes)));
+    }
+    // A position without the name of one can be anything: the longest, if there is one.
+    let mut found = groups_with(file, step, unnamed_position_count, false, &mut Vec::new())?;
+    found.sort_by_key(|group| Reverse(group.particle_count));
+    let is_longest = found.get(1).is_none_or(|second| second.particle_count < found[0].particle_count);
+    Ok(if is_longest { found.into_iter().next() } else { None })
+}
+
+/// The groups of a step in whose tables `count` finds particles; only those nearest to the root if `nearest` is true.
+fn groups_with(
+    file: &HdfFile,
+    step: &Group,
+    count: fn(&[Described]) -> Option<usize>,
+    nearest: bool,
+    notes: &mut Vec<String>,
+) -> Result<Vec<ParticleGroup>> {
     // Beside the particles of openPMD are meshes, whose components have the same names.
     let mut level = match particles_path(file)? {
         Some(path) => {
@@ -229,17 +309,21 @@ fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Resu
         None => vec![(String::new(), step.clone())],
     };
     let mut visited: HashSet<u64> = level.iter().map(|(_, group)| group.address()).collect();
+    let mut found = Vec::new();
     for _ in 0..=DEPTH_MAX {
-        let (mut found, mut below) = (Vec::new(), Vec::new());
+        let mut below = Vec::new();
         for (path, group) in level {
             let (mut groups, data_sets) = file.members(&group)?;
             let mut own_notes = Vec::new();
             let tables = tables_of(file, &group, &path, (&groups, &data_sets), &mut own_notes)?;
-            if let Some(particle_count) = count_of(&tables) {
-                found.push(ParticleGroup { path, tables, particle_count, notes: own_notes });
-                continue;
+            if let Some(particle_count) = count_of(&tables, count) {
+                found.push(ParticleGroup { path: path.clone(), tables, particle_count, notes: own_notes });
+                if nearest {
+                    continue;
+                }
+            } else {
+                notes.extend(own_notes);
             }
-            notes.extend(own_notes);
             // SWIFT has further names for the groups of GADGET.
             groups.sort_by_key(|name| !name.starts_with("PartType"));
             for name in groups {
@@ -250,13 +334,12 @@ fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Resu
             }
             file.limits.check_attributes(FORMAT, visited.len(), "groups")?;
         }
-        if !found.is_empty() {
-            *notes = Vec::new();
-            return Ok(Some(chosen(found, notes)));
+        if nearest && !found.is_empty() {
+            break;
         }
         level = below;
     }
-    Ok(None)
+    Ok(found)
 }
 
 /// The fluid among the groups, or the first one.
@@ -358,13 +441,19 @@ fn name_velocity(tables: &mut [HdfTable]) {
     }
 }
 
-/// The number of particles, if the tables have a position.
-fn count_of(tables: &[HdfTable]) -> Option<usize> {
-    let fields = tables.iter().flat_map(|table| {
-        let count = usize::try_from(table.row_count).unwrap_or(usize::MAX);
-        table.fields.iter().map(move |field| (&*field.name, field.arity, count))
-    });
-    position_count(&fields.collect::<Vec<_>>())
+/// The number of particles that `count` finds in the tables.
+fn count_of(tables: &[HdfTable], count: fn(&[Described]) -> Option<usize>) -> Option<usize> {
+    let mut described = Vec::new();
+    for table in tables {
+        let row_count = usize::try_from(table.row_count).unwrap_or(usize::MAX);
+        described.extend(table.fields.iter().map(|field| Described {
+            name: &field.name,
+            arity: field.arity,
+            row_count,
+            is_real: field.is_real(),
+        }));
+    }
+    count(&described)
 }
 
 /// Reads the tables that have a row for each particle.

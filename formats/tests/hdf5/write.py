@@ -61,6 +61,29 @@ with new("steps.h5part") as file:
         group["vx"], group["vy"], group["vz"] = VELOCITY.T.copy()
         group["id"] = IDS
 
+# Groups as scripts name them, beside one without particles; the particles have the names of a simulator.
+with new("frames.h5") as file:
+    for step in (10, 0, 2):
+        group = file.create_group(f"frame_{step:04}")
+        group["particle_q"], group["particle_qd"], group["id"] = position(step), VELOCITY, IDS
+    file["step_of_time"] = 0.5
+
+# All steps in one data set.
+with new("stacked.h5") as file:
+    stack = np.stack([position(step) for step in range(3)])
+    file.create_dataset("F_x", data=np.zeros((3, 3)))
+    file.create_dataset("pos", data=stack, chunks=(1, 4, 3), compression="gzip")
+    file["vel"] = np.stack([VELOCITY] * 3)
+    file["mass"] = np.full((3, N), 0.5)
+    file["id"] = IDS
+    file["time"] = np.arange(3.0)
+
+# Without the name of a position: the only vector of real numbers, as long as all else.
+with new("unnamed.h5") as file:
+    file["cell"] = np.eye(3)
+    group = file.create_group("sim/state")
+    group["points of water"], group["kind"] = position(), IDS.astype("i4")
+
 with new("pysph.hdf5") as file:
     for name in ("boundary", "fluid"):
         arrays = file.create_group(f"particles/{name}/arrays")

@@ -48,7 +48,7 @@ Path: TypeAlias = "str | os.PathLike[str]"
 _OFFSET_PER_THRESHOLD = 1.1
 _DEFAULT_THRESHOLD = 0.6
 #: The least voxel size, in particle radii: the method blends over 1.7 spacings, which may be at most 64 voxels.
-_LEAST_CUBE_SIZE = 3.4 / 64
+_LEAST_CUBE_SIZE = 0.0532
 
 _BLOCKS = "space is always divided into blocks, whose size is fixed"
 _QUADS = "the quads are those of dual contouring, and not pairs of triangles that are chosen by their shape"
@@ -118,7 +118,7 @@ class MeshType(enum.Enum):
 class Aabb3d:
     """A box along the axes: the corners `min` and `max`, (3,) float64, in world units.
 
-    The functions take it as ``aabb_min=box.min, aabb_max=box.max``, and `mesh_aabb_min` and `mesh_aabb_max` too.
+    Give it as ``aabb_min=box.min, aabb_max=box.max``, or as ``mesh_aabb_min`` and ``mesh_aabb_max``.
     """
 
     min: NDArray[np.float64]
@@ -607,7 +607,7 @@ def _check(arguments: Mapping[str, Any]) -> None:
     size, radius = arguments["cube_size"], arguments["particle_radius"]
     if size < _LEAST_CUBE_SIZE:
         raise ValueError(
-            f"cube_size is in particle radii, and {size:g} is less than 0.0532, the least; 0.5 to 1 is usual. If it is an "
+            f"cube_size is in particle radii, and {size:g} is less than {_LEAST_CUBE_SIZE}, the least; 0.5 to 1 is usual. If it is an "
             "absolute length (the older convention, that of the library splashsurf_lib), give "
             f"cube_size / particle_radius, which is {size / radius:g}"
         )

@@ -81,9 +81,11 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
     Ok(counts.outcome())
 }
 
-/// The sheet is written when its first cell has a picture, and again after a cell that ends as much later, so that
-/// it can be looked at while others are computed.
+/// The least time between two writes of the sheet, which can be looked at while its cells are computed.
 const BETWEEN_WRITES: Duration = Duration::from_secs(2);
+
+/// Writing the sheet early takes at most one part in this of the time.
+const WRITING_SHARE: u32 = 10;
 
 /// The formats that the printed commands write.
 const CONVERTED: [OutputFormat; 2] = [OutputFormat::Glb, OutputFormat::Vdb];
@@ -250,8 +252,8 @@ impl<'a> Tuning<'a> {
         Ok(Tuning { args, session, frame, file: file.clone(), without, settings, viewpoint })
     }
 
-    /// Renders all cells, and writes the sheet as often as they are worth it. Returns what the last write says, if
-    /// any cell has a picture.
+    /// Renders all cells, and writes the sheet now and then. Returns what the last write says, if any cell has a
+    /// picture.
     fn cells(
         &self,
         grid: &Grid,
@@ -260,7 +262,7 @@ impl<'a> Tuning<'a> {
     ) -> Result<(DoneCounts, Option<String>)> {
         let (mut counts, mut reported) = (DoneCounts::default(), ReportedWarnings::default());
         let mut sheet = self.empty_sheet(grid);
-        let mut last_write: Option<Instant> = None;
+        let mut next_write: Option<Instant> = None;
         for (index, (cell, settings)) in grid.cells.iter().zip(&self.settings).enumerate() {
             let number = index + 1;
             let label = self.label(number, &grid.label(cell), settings);
@@ -296,10 +298,13 @@ impl<'a> Tuning<'a> {
             };
             console.advance_bar();
             sheet.blocks[0].cells[index] = Cell { content, lines };
-            let is_due = last_write.is_none_or(|written| written.elapsed() >= BETWEEN_WRITES);
+            let began = Instant::now();
+            let is_due = next_write.is_none_or(|next| began >= next);
             if counts.done_count > 0 && is_due && number < grid.cells.len() {
-                write(&sheet)?;
-                last_write = Some(Instant::now());
+                if let Err(error) = write(&sheet) {
+                    console.warning(format_args!("the sheet is not written yet: {}", with_causes(&error)));
+                }
+                next_write = Some(Instant::now() + BETWEEN_WRITES.max(WRITING_SHARE * began.elapsed()));
             }
         }
         let written = (counts.done_count > 0).then(|| write(&sheet)).transpose()?;

@@ -87,7 +87,7 @@ impl OpenContainer {
         self.kind
     }
 
-    /// The frames with particles, and how they are read: without the samples and files.
+    /// The frames with particles, and their reader, whose own lists of samples and files are empty.
     ///
     /// # Errors
     /// When the structure of the file cannot be read, or it is a file without particles.

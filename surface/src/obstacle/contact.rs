@@ -22,8 +22,7 @@
 //!
 //! A gap narrower than ε is filled, and one a little wider becomes narrower, so a gap that widens slowly does
 //! not open suddenly. φ_0 − c is no distance, so smoothing begins with a redistancing. A wall that is wet stays
-//! wet: there, φ stays below −φ_o or an upper bound that moved with φ_0. The upper bound of spheres, which may be
-//! far from φ_0, is lowered to φ_0 − c + 1 instead.
+//! wet: there, φ stays below φ_0 − c + 1 or −φ_o. The upper bound of kernels, which is near φ_0, also moves with it.
 //!
 //! Intersections: φ = max(φ, −φ_o), after smoothing and the offset. Smoothing sees the fluid inside the
 //! obstacle instead of an edge at the wall, so it neither rounds that edge nor lifts it off the wall, and the
@@ -148,11 +147,11 @@ impl Kernel for FillKernel<'_> {
             filled.store(self.phi.row_mut(row));
             V::select(is_filled, least, lower.min(filled)).store(self.lower.row_mut(row));
             let is_wet = V::both(V::both(zero.lt(obstacle), zero.lt(faded)), filled.lt(zero));
-            let held = match self.start {
-                Start::Spheres => upper.min(filled.add(one)),
+            let moved = match self.start {
+                Start::Spheres => upper,
                 Start::Kernels => upper.sub(growth),
             };
-            let held = V::select(is_wet, held, upper);
+            let held = V::select(is_wet, moved.min(filled.add(one)), upper);
             held.max(wall).store(self.upper.row_mut(row));
         }
         stats

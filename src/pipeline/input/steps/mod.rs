@@ -305,9 +305,12 @@ pub(crate) fn named_by_unreadable(frame: &Path) -> Option<Arc<NamedFiles>> {
     let (file, step) = step_of(frame).map_or((frame, None), |(file, step)| (file, Some(step)));
     let open = OpenContainer::open(file).ok()??;
     // The files that were wanted before an error are known.
-    if let Ok((_, frames)) = open.frames() {
-        let index = || step_index(file).ok()?.index_of(step?).ok();
-        let _ = open.packed(&frames, index().unwrap_or(0));
+    match step_index(file) {
+        Ok(contents) => {
+            let index = step.and_then(|step| contents.index_of(step).ok()).unwrap_or(0);
+            let _ = contents.reader().map(|frames| open.packed(frames, index));
+        }
+        Err(_) => drop(open.frames()),
     }
     open.named_files()
 }
