@@ -280,5 +280,10 @@ fn results_of_another_condition_are_replaced_with_a_warning() {
     assert!(!convert("kind == 1").contains("is replaced"));
     assert!(!convert("kind == 1").contains("is replaced"));
     let warning = convert("kind == 0");
-    assert!(warning.contains("f.1 was made with --where 'kind == 1', and its results of the same formats are replaced"), "{warning}");
+    assert!(
+        warning.contains(
+            "f.1 was made with --where 'kind == 1', and its results of the same formats are replaced"
+        ),
+        "{warning}"
+    );
 }

@@ -440,6 +440,30 @@ fn spacing_follows_the_particles_own_radii() {
     assert!(result.err.contains("warning: six.csv: the radii in `pscale` imply a spacing"), "{}", result.err);
 }
 
+/// On a fine grid, a small lone ball keeps its radius as well as a large one.
+#[test]
+fn balls_of_all_sizes_keep_their_own_radii() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let balls = [(0.0, 0.02), (2.0, 0.1), (4.0, 0.1), (6.0, 0.1)];
+    let rows: String = balls.iter().map(|(x, radius)| format!("{x},0,0,{radius}\n")).collect();
+    fs::write(path.join("balls.csv"), format!("x,y,z,radius\n{rows}")).expect("written");
+    let typed = ["convert", "balls.csv", "--out=o", "--format=obj", "--radius-attribute=radius"];
+    let result = meniscus(path, &[&typed[..], &["--voxel-size=0.006"]].concat());
+    assert_eq!(result.status, 0, "{}", result.err);
+    let text = fs::read_to_string(path.join("o/balls.obj")).expect("readable");
+    let numbers =
+        |line: &str| line.split(' ').map(|word| word.parse().expect("a number")).collect::<Vec<f64>>();
+    let vertices: Vec<DVec3> =
+        text.lines().filter_map(|line| Some(DVec3::from_slice(&numbers(line.strip_prefix("v ")?)))).collect();
+    for (x, radius) in balls {
+        let distances = vertices.iter().map(|vertex| vertex.distance(DVec3::new(x, 0.0, 0.0)));
+        let of_ball: Vec<f64> = distances.filter(|distance| *distance < 1.0).collect();
+        let ratio = of_ball.iter().sum::<f64>() / of_ball.len() as f64 / radius;
+        assert!((0.92..1.02).contains(&ratio), "a ball of {radius} became {ratio} of it");
+    }
+}
+
 #[test]
 fn positions_rounded_far_from_the_origin_and_planar_frames_cause_warnings() {
     let folder = tempdir().expect("a folder");

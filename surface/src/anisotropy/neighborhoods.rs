@@ -63,7 +63,8 @@ pub struct Stretch {
 pub struct KernelConfig {
     /// The neighbour radius over the reach of the kernel of a particle of scale 1.
     pub per_reach: f32,
-    /// How far the surface may move inward where fluid is thin, in voxels.
+    /// How far the surface may move inward where fluid is thin, in voxels; less at particles with a smaller radius of
+    /// their own.
     pub room_least: f32,
     /// The same for a body.
     pub room_most: f32,
@@ -356,7 +357,11 @@ impl ParticleRun<'_> {
         }
         let Some(stretch) = self.config.stretch else { return ShapeCounts::default() };
         let limits = Stretch { max_stretch: stretch.max_stretch.max(1.0), ..stretch };
-        let eights = surroundings.shapes(&scales, limits);
+        let mut eights = surroundings.shapes(&scales, limits);
+        for (shape, scale) in eights.shapes.iter_mut().zip(scales) {
+            // A small particle with its own radius would lose more of it than others.
+            shape.room *= (self.config.own_spacing * scale).min(1.0);
+        }
         self.shapes[first..first + count].copy_from_slice(&eights.shapes[..count]);
         let bits = ((1u16 << count) - 1) as u8;
         let [raised, balls] = [eights.raised & bits, eights.balls & bits].map(u8::count_ones);

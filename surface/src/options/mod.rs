@@ -607,6 +607,17 @@ impl Settings {
                 self.radius_min / self.voxel_size
             ));
         }
+        if self.start == Start::Kernels
+            && self.per_particle_radius.is_none()
+            && self.voxel_size > self.spacing
+        {
+            let [size, spacing, usual] =
+                [self.voxel_size, self.spacing, 0.32 * self.spacing].map(significant);
+            warnings.push(format!(
+                "the voxel size {size} is larger than the particle spacing {spacing}, so the surface is much too large, as \
+                 each particle becomes a ball of at least a voxel: choose at most {spacing}, or {usual}, the default"
+            ));
+        }
         warnings
     }
 }

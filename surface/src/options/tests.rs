@@ -221,6 +221,21 @@ fn many_steps_cause_a_warning() {
 }
 
 #[test]
+fn voxels_larger_than_the_spacing_cause_a_warning() {
+    let warnings = |preset, voxel_size: &str| {
+        let choices = MethodOptions {
+            preset: Some(preset),
+            spacing: Some(0.1),
+            voxel_size: Some(voxel_size.parse().expect("a length")),
+            ..MethodOptions::default()
+        };
+        Settings::resolve(&choices, None).expect("sound").warnings().join("; ")
+    };
+    assert!(warnings(Preset::Fluid, "0.2").contains("choose at most 0.1, or 0.032, the default"));
+    assert_eq!([warnings(Preset::Fluid, "1d"), warnings(Preset::Paper, "0.2")], ["", ""]);
+}
+
+#[test]
 fn options_are_checked_before_the_voxel_size_is_known() {
     let choices = |radius_min: Option<f64>, radius_ratio| MethodOptions {
         preset: Some(Preset::Paper),
