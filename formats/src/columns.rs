@@ -475,6 +475,7 @@ const ROLES: &[(AttributeRole, &[&str])] = &[
         &[
             "type",
             "phase",
+            "species",
             "mk",
             "material",
             "object",

@@ -243,6 +243,22 @@ fn files_behind_a_user_block_are_read() {
 }
 
 #[test]
+fn species_are_joined_with_their_names() {
+    let frame = read(&file("species.h5"), 0).unwrap();
+    let of_type = |wanted: &str| frame.attributes.iter().find(|attribute| attribute.name == wanted).unwrap();
+    assert_eq!(of_type("id").values, Values::I64(vec![104, 105, 100, 101, 102, 103]));
+    let species = of_type("species");
+    assert_eq!((species.arity, species.role), (1, Some(AttributeRole::Kind)));
+    let table = ["air", "water"].map(String::from).into();
+    assert_eq!(species.values, Values::Strings { table, indices: vec![0, 0, 1, 1, 1, 1] });
+    let notes = [
+        "joined the particles of 2 species",
+        "skipped the array `only_here`: it is not the same in all species",
+    ];
+    assert_eq!(frame.notes, notes);
+}
+
+#[test]
 fn particles_of_openpmd_are_below_their_path() {
     // The same length: only the name of the group changes.
     let elsewhere = replaced("openpmd.h5", b"particles\0", b"fields___\0");

@@ -135,12 +135,13 @@ fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: Vec<FrameFile>)
     let mut given = HashSet::new();
     for file in sequences(files).into_iter().flat_map(|sequence| sequence.frames) {
         let input = absolute(&file.path).unwrap_or_else(|_| file.path.clone());
-        let name = name_of.remove(&input).unwrap_or_else(|| file.stem().into());
-        // Of several inputs with the same outputs, the first one is converted.
-        if given.insert(name.clone()) {
-            let records = frames.remove(&name).map_or_else(Vec::new, |known| known.records);
-            frames.insert(name, KnownFrame { input, records, is_given: true });
+        let mut name = name_of.remove(&input).unwrap_or_else(|| file.stem().into());
+        // Of several inputs with the same outputs, the first one is converted, and the others are missing.
+        if !given.insert(name.clone()) {
+            name = file.path.file_name().unwrap_or_default().into();
         }
+        let records = frames.remove(&name).map_or_else(Vec::new, |known| known.records);
+        frames.insert(name, KnownFrame { input, records, is_given: true });
     }
 }
 

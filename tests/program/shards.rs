@@ -348,6 +348,19 @@ const CASES: [Case; 7] = [
     ),
 ];
 
+/// `convert` leaves out an input whose results would have the names of those of another.
+#[test]
+fn input_with_the_name_of_another_is_missing() {
+    let folder = prepared(2);
+    let folder = folder.path();
+    fs::write(folder.join("in/dam.2.csv"), "x,y,z\n0,0,0\n0.1,0,0\n0,0.1,0\n").expect("written");
+    assert_eq!(meniscus(folder, &["convert", "in", "--out", "out"]).status, 1);
+    let result = verify(folder);
+    assert_eq!(result.status, 1, "{}{}", result.out, result.err);
+    assert!(result.err.contains("dam.2.") && result.err.contains(": missing: "), "{}", result.err);
+    assert!(result.out.starts_with("3 frames: 2 done, 1 missing"), "{}", result.out);
+}
+
 #[test]
 fn verify_reports_every_kind_of_damage() {
     for (state, meddle, why) in CASES {

@@ -14,7 +14,7 @@
 //!
 //! A group has particles if its data sets have names by which `crate::named_arrays` finds a position. The
 //! groups nearest to the root are used. If they are several, one of them is the fluid, and a note names the
-//! others.
+//! others; the species of openPMD are all read.
 //!
 //! Specifications: HDF5 File Format Specification 3.0, openPMD 1.1, H5Part, the manuals of GADGET-2 and SWIFT.
 
@@ -31,10 +31,12 @@ use hdf5_reader::group::Group;
 use crate::batches::ReadAt;
 use crate::columns::position_rank;
 use crate::container::{ContainerFile, ContainerFrames, ContainerReader, ReadFrame, Sample, frame_at};
-use crate::data::{ParticleFrame, Values};
+use crate::data::{FileAttribute, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
-use crate::named_arrays::{Described, NamedArray, frame_of, position_count, unnamed_position_count};
+use crate::named_arrays::{
+    Described, NamedArray, ParticlePart, frame_of, frame_of_parts, position_count, unnamed_position_count,
+};
 use crate::number::wide;
 use crate::row::{FormatRow, ParticleReader};
 use crate::text::{excerpt, excerpts};
@@ -134,10 +136,9 @@ impl ReadFrame for HdfSteps {
         let frame = with_open_file(&found.file, container.file, limits, |file| {
             file.stack.set(step.stack);
             let mut notes = Vec::new();
-            let frame = match find_particles(file, &step.group, &mut notes)? {
-                Some(particles) => frame(file, particles, notes),
-                None => Err(no_particles(file, notes)),
-            };
+            let groups = find_particles(file, &step.group, &mut notes)?;
+            let frame =
+                if groups.is_empty() { Err(no_particles(file, notes)) } else { frame(file, groups, notes) };
             found.read_bytes.fetch_add(file.spent_bytes(), Ordering::Relaxed);
             frame
         })?;
@@ -202,7 +203,7 @@ fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
     }
     // Iterations can have fields only.
     let has_particles =
-        |group: &Group| Ok::<_, Error>(find_particles(file, group, &mut Vec::new())?.is_some());
+        |group: &Group| Ok::<_, Error>(!find_particles(file, group, &mut Vec::new())?.is_empty());
     if let Some(first) = steps.first()
         && !has_particles(&first.group)?
     {
@@ -264,6 +265,7 @@ fn time_of(file: &HdfFile, group: &Group) -> Result<Option<f64>> {
 }
 
 /// A group with particles.
+#[derive(Default)]
 struct ParticleGroup {
     path: String,
     tables: Vec<HdfTable>,
@@ -278,18 +280,21 @@ const DEPTH_MAX: usize = 4;
 /// Names of the fluid among several kinds of particles.
 const FLUIDS: &[&str] = &["fluid", "water", "liquid"];
 
-/// Finds the particles of a step. The notes are on the choice or, if there are no particles, on data sets.
-fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Result<Option<ParticleGroup>> {
+/// Finds the particles of a step: one group, or the species of openPMD. The notes are on the choice or, if there are
+/// no particles, on data sets.
+fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Result<Vec<ParticleGroup>> {
     let named = groups_with(file, step, position_count, true, notes)?;
     if !named.is_empty() {
         *notes = Vec::new();
-        return Ok(Some(chosen(named, notes)));
+        let are_species = particles_path(file)?.is_some();
+        return Ok(if are_species { named } else { vec![chosen(named, notes)] });
     }
     // A position without the name of one can be anything: the longest, if there is one.
     let mut found = groups_with(file, step, unnamed_position_count, false, &mut Vec::new())?;
     found.sort_by_key(|group| Reverse(group.particle_count));
     let is_longest = found.get(1).is_none_or(|second| second.particle_count < found[0].particle_count);
-    Ok(if is_longest { found.into_iter().next() } else { None })
+    found.truncate(if is_longest { 1 } else { 0 });
+    Ok(found)
 }
 
 /// The groups of a step in whose tables `count` finds particles; only those nearest to the root if `nearest` is true.
@@ -456,8 +461,33 @@ fn count_of(tables: &[HdfTable], count: fn(&[Described]) -> Option<usize>) -> Op
     count(&described)
 }
 
-/// Reads the tables that have a row for each particle.
-fn frame(file: &HdfFile, group: ParticleGroup, mut notes: Vec<String>) -> Result<ParticleFrame> {
+/// Reads groups. The particles of several ones are joined, and have the name of their group as the attribute
+/// `species`.
+fn frame(file: &HdfFile, mut groups: Vec<ParticleGroup>, mut notes: Vec<String>) -> Result<ParticleFrame> {
+    if let [only] = &mut groups[..] {
+        let mut frame = frame_of_group(file, std::mem::take(only), &mut notes)?;
+        frame.notes.append(&mut notes);
+        frame.notes.extend(file.notes());
+        return Ok(frame);
+    }
+    let mut parts = Vec::new();
+    for group in groups {
+        let table = vec![group.path.rsplit('/').next().unwrap_or_default().to_owned()];
+        let ParticleFrame { positions, attributes, notes: of_group } =
+            frame_of_group(file, group, &mut notes)?;
+        notes.extend(of_group);
+        let array = |FileAttribute { name, arity, values, .. }| NamedArray { name, arity, values };
+        let mut arrays: Vec<NamedArray> = attributes.into_iter().map(array).collect();
+        let values = Values::Strings { table, indices: vec![0; positions.len()] };
+        arrays.push(NamedArray { name: "species".to_owned(), arity: 1, values });
+        parts.push(ParticlePart { positions, arrays });
+    }
+    notes.extend(file.notes());
+    Ok(frame_of_parts(parts, "species", notes))
+}
+
+/// Reads the tables of a group that have a row for each particle.
+fn frame_of_group(file: &HdfFile, group: ParticleGroup, notes: &mut Vec<String>) -> Result<ParticleFrame> {
     let mut arrays = Vec::new();
     notes.extend(group.notes);
     for table in group.tables {
@@ -481,10 +511,7 @@ fn frame(file: &HdfFile, group: ParticleGroup, mut notes: Vec<String>) -> Result
             "the positions have offsets (positionOffset), which are not supported: add them to the positions";
         return Err(Error::unsupported(FORMAT, what));
     }
-    let mut frame = frame_of(None, arrays).ok_or_else(|| no_particles(file, Vec::new()))?;
-    frame.notes.append(&mut notes);
-    frame.notes.extend(file.notes());
-    Ok(frame)
+    frame_of(None, arrays).ok_or_else(|| no_particles(file, Vec::new()))
 }
 
 fn no_particles(file: &HdfFile, notes: Vec<String>) -> Error {

@@ -109,6 +109,16 @@ with new("openpmd.h5") as file:
         water.create_group("mass").attrs.update(value=0.125, shape=[N])
         water["id"] = IDS.astype("u8")
 
+with new("species.h5") as file:
+    file.attrs["openPMD"] = "1.1.0"
+    for name, ids in (("water", IDS[:4]), ("air", IDS[4:])):
+        group = file.create_group(f"data/7/particles/{name}")
+        for axis, values in zip("xyz", position()[ids - 100].T):
+            group[f"position/{axis}"] = values.copy()
+        group["id"] = ids
+        if name == "water":
+            group["only_here"] = np.zeros(4)
+
 with new("vtk.vtkhdf") as file:
     root = file.create_group("VTKHDF")
     root.attrs["Version"] = (2, 0)
