@@ -7,7 +7,6 @@ use flate2::bufread::GzDecoder;
 
 use crate::error::{Error, Position, Result};
 use crate::limits::{Limits, RATIO_FREE_BYTES};
-use crate::streamed::{self, Streamed};
 use crate::zstd;
 
 /// A compression format.
@@ -17,32 +16,24 @@ pub enum Codec {
     Gzip,
     /// Zstandard, with one or more frames.
     Zstd,
-    /// xz, with one or more streams.
-    Xz,
-    /// bzip2, with one or more streams.
-    Bzip2,
 }
 
 impl Codec {
-    pub(crate) const ALL: [Codec; 4] = [Codec::Gzip, Codec::Zstd, Codec::Xz, Codec::Bzip2];
+    pub(crate) const ALL: [Codec; 2] = [Codec::Gzip, Codec::Zstd];
 
     /// The signature: the first bytes of a file.
     pub(crate) fn beginning(self) -> &'static [u8] {
         match self {
             Codec::Gzip => b"\x1f\x8b",
             Codec::Zstd => b"\x28\xb5\x2f\xfd",
-            Codec::Xz => &streamed::XZ_MAGIC,
-            Codec::Bzip2 => &streamed::BZIP2_MAGIC,
         }
     }
 
     /// The size in bytes of a file with empty content.
     pub(crate) fn file_bytes_min(self) -> u64 {
         match self {
-            Codec::Gzip => 20,  // header, an empty block, checksum and length
-            Codec::Zstd => 9,   // signature, header, an empty block
-            Codec::Xz => 32,    // header, an empty index, footer
-            Codec::Bzip2 => 14, // header, the mark of the end, checksum
+            Codec::Gzip => 20, // header, an empty block, checksum and length
+            Codec::Zstd => 9,  // signature, header, an empty block
         }
     }
 
@@ -51,8 +42,6 @@ impl Codec {
         match self {
             Codec::Gzip => "gzipped",
             Codec::Zstd => "compressed with zstd",
-            Codec::Xz => "compressed with xz",
-            Codec::Bzip2 => "compressed with bzip2",
         }
     }
 
@@ -61,8 +50,6 @@ impl Codec {
         match bytes {
             _ if is_gzip(bytes) => Some(Codec::Gzip),
             _ if zstd::is_zstd(bytes) => Some(Codec::Zstd),
-            _ if Streamed::Xz.is_of(bytes) => Some(Codec::Xz),
-            _ if Streamed::Bzip2.is_of(bytes) => Some(Codec::Bzip2),
             _ => None,
         }
     }
@@ -79,8 +66,6 @@ impl Codec {
         match self {
             Codec::Gzip => inflate(content, bytes, limits)?,
             Codec::Zstd => zstd::decompress(content, bytes, limits)?,
-            Codec::Xz => *content = Streamed::Xz.decompress(bytes, limits)?,
-            Codec::Bzip2 => *content = Streamed::Bzip2.decompress(bytes, limits)?,
         }
         Ok(())
     }
@@ -91,8 +76,6 @@ impl Codec {
         match self {
             Codec::Gzip => inflate_head(bytes, length),
             Codec::Zstd => zstd::decompress_head(bytes, length),
-            Codec::Xz => Streamed::Xz.decompress_head(bytes, length),
-            Codec::Bzip2 => Streamed::Bzip2.decompress_head(bytes, length),
         }
     }
 
@@ -102,8 +85,6 @@ impl Codec {
         match self {
             Codec::Gzip => check_start(bytes),
             Codec::Zstd => zstd::check_start(bytes),
-            Codec::Xz => Streamed::Xz.check_start(bytes),
-            Codec::Bzip2 => Streamed::Bzip2.check_start(bytes),
         }
     }
 
@@ -113,8 +94,6 @@ impl Codec {
         match self {
             Codec::Gzip => 0,
             Codec::Zstd => zstd::FIRST_BLOCK_BYTES_MAX,
-            Codec::Xz => 66 << 10, // the headers of the file and of the block, and a chunk of at most 64 KiB
-            Codec::Bzip2 => 1 << 20, // a block of 900 kB that hardly became smaller
         }
     }
 }
@@ -166,9 +145,8 @@ pub fn read_head(mut source: impl Read, length: u64) -> io::Result<Vec<u8>> {
 
 /// A file name without the extension of its compression.
 pub fn name_without_compression(name: &str) -> &str {
-    let is_compressed = |end: &str| {
-        [".gz", ".zst", ".zstd", ".xz", ".bz2"].iter().any(|known| end.eq_ignore_ascii_case(known))
-    };
+    let is_compressed =
+        |end: &str| [".gz", ".zst", ".zstd"].iter().any(|known| end.eq_ignore_ascii_case(known));
     match name.rfind('.').map(|at| name.split_at(at)) {
         Some((stem, end)) if is_compressed(end) => stem,
         _ => name,

@@ -54,7 +54,6 @@ mod sequence;
 mod sequence_points;
 pub mod steps;
 pub mod stl;
-mod streamed;
 mod table;
 mod text;
 mod usd;

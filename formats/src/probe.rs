@@ -469,6 +469,8 @@ const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
     (b"\0\0\0TCORD", DCD),
     (b"PAR1", "Parquet"),
     (b"7z\xbc\xaf\x27\x1c", SEVEN_ZIP),
+    (b"\xfd7zXZ\0", XZ),
+    (b"BZh", BZIP2),
     (b"Rar!\x1a\x07", RAR),
     (b"\x80\x04\x95", PICKLE),
     (b"\x80\x05\x95", PICKLE),
@@ -500,6 +502,8 @@ pub(crate) const REMEDIES: &[(&str, &str)] = &[
     (TAR, ARCHIVE),
     (SEVEN_ZIP, ARCHIVE),
     (RAR, ARCHIVE),
+    (XZ, "this compression is not supported: unpack the file with xz -d, or compress it with gzip or zstd"),
+    (BZIP2, "this compression is not supported: unpack the file with bzip2 -d, or compress it with gzip or zstd"),
     (GIT_LFS, "this is only the reference to a file in Git LFS: get the file itself with `git lfs pull`"),
     (E57, SCAN),
     (LAS, SCAN),
@@ -553,6 +557,8 @@ const PARTIO: &str =
 /// The output of LAMMPS's `write_data` command.
 const LAMMPS_DATA: &str = "LAMMPS data";
 const ZIP: &str = "ZIP archive";
+const XZ: &str = "xz";
+const BZIP2: &str = "bzip2";
 const TAR: &str = "tar archive";
 /// The offset of the signature of a tar archive.
 const TAR_OFFSET: usize = 257;
@@ -735,6 +741,8 @@ mod tests {
             (&[&[0; TAR_OFFSET][..], b"ustar\0"].concat(), "a.tar", ProbedKind::Foreign(TAR)),
             (b"7z\xbc\xaf\x27\x1c\0\x04", "a.7z", ProbedKind::Foreign(SEVEN_ZIP)),
             (b"Rar!\x1a\x07\x01\0", "a.rar", ProbedKind::Foreign(RAR)),
+            (b"\xfd7zXZ\0\0\x04", "a.ply.xz", ProbedKind::Foreign(XZ)),
+            (b"BZh91AY&SY", "a.ply.bz2", ProbedKind::Foreign(BZIP2)),
             (
                 b"PK\x03\x04\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\x05\0\0\0a.npy",
                 "a",

@@ -120,7 +120,7 @@ def read(
     """Read particles from a file of any format that meniscus reads: PLY, BGEO, VTK and lists of its files, HDF5,
     USD, Alembic, OpenVDB, PRT, JSON, NumPy, LAMMPS, XYZ, delimited text and more.
 
-    The content determines the format, and the file may be compressed with gzip, zstd, xz or bzip2.
+    The content determines the format, and the file may be compressed with gzip or zstd.
 
     Parameters
     ----------

@@ -80,8 +80,8 @@ option_set! {
         /// Files, folders, globs, or numbered patterns such as dam.####.bgeo, dam.%04d.bgeo, dam.{}.bgeo
         ///
         /// PLY, BGEO of any version, VTK and lists of such files (.pvd), HDF5, USD, Alembic, OpenVDB points, PRT,
-        /// PCD, JSON, NumPy arrays, LAMMPS dumps, XYZ files of atoms and delimited text, optionally compressed by gzip,
-        /// zstd, xz or bzip2. The format is detected from the content. Files with several frames give each as a
+        /// PCD, JSON, NumPy arrays, LAMMPS dumps, XYZ files of atoms and delimited text, optionally compressed by gzip
+        /// or zstd. The format is detected from the content. Files with several frames give each as a
         /// step. Level sets in .vdb are converted to meshes. Frames are in natural order (9 before 10); files whose
         /// names differ only in the frame number form one sequence, and share their settings. `-` reads one file
         /// from the standard input.
