@@ -6,8 +6,8 @@
 //! ```text
 //!   "pos" (N, 3)                    the position, unless the format itself specifies one
 //!   "q" (N, 3), "qd" (N, 3)         position and velocity of simulators: see PAIRS
-//!   "any" (N, 3)                    the position, if it has real numbers, there is no other array of three columns or
-//!                                   of more rows, and no x, y and z
+//!   "any" (N, 3)                    the position, if it has real numbers, no other array is longer, none of three
+//!                                   columns is as long, and there are no x, y and z
 //!   "x" (N), "y" (N), "z" (N)       the same, in three arrays
 //!   "vel" (N, 3)                    Velocity
 //!   "vx" (N), "vy" (N), "vz" (N)    joined to "v" (N, 3): Velocity
@@ -210,8 +210,8 @@ fn named_position(names: &[&str]) -> Option<usize> {
 /// Taichi's examples and of Newton's bodies.
 const PAIRS: [(&str, &str); 2] = [("f_x", "f_v"), ("q", "qd")];
 
-/// The position among arrays without the name of one: that of a [pair](PAIRS), or the only vector of real numbers,
-/// unless it has a role or another array has more rows.
+/// The position among arrays without the name of one: that of a [pair](PAIRS), or the longest array, if it is the only
+/// vector of its length, has real numbers and no role.
 fn unnamed_position(arrays: &[Described]) -> Option<usize> {
     let vectors = || arrays.iter().enumerate().filter(|(_, array)| array.arity == 3);
     let named = |wanted: &str| {
@@ -224,10 +224,10 @@ fn unnamed_position(arrays: &[Described]) -> Option<usize> {
         return Some(position);
     }
     let rows_max = arrays.iter().map(|array| array.row_count).max()?;
-    let is_position =
-        |array: &Described| array.is_real && array.row_count == rows_max && role_of(array.name, 3).is_none();
-    let (index, array) = vectors().next()?;
-    (vectors().nth(1).is_none() && is_position(array)).then_some(index)
+    let mut longest = vectors().filter(|(_, array)| array.row_count == rows_max);
+    let (index, array) = longest.next()?;
+    let is_position = array.is_real && role_of(array.name, 3).is_none();
+    (longest.next().is_none() && is_position).then_some(index)
 }
 
 /// Takes the position from three arrays with one value per particle, chosen by their names.

@@ -503,7 +503,10 @@ pub(crate) const REMEDIES: &[(&str, &str)] = &[
     (SEVEN_ZIP, ARCHIVE),
     (RAR, ARCHIVE),
     (XZ, "this compression is not supported: unpack the file with xz -d, or compress it with gzip or zstd"),
-    (BZIP2, "this compression is not supported: unpack the file with bzip2 -d, or compress it with gzip or zstd"),
+    (
+        BZIP2,
+        "this compression is not supported: unpack the file with bzip2 -d, or compress it with gzip or zstd",
+    ),
     (GIT_LFS, "this is only the reference to a file in Git LFS: get the file itself with `git lfs pull`"),
     (E57, SCAN),
     (LAS, SCAN),

@@ -172,6 +172,18 @@ fn steps_and_iterations_are_frames() {
     }
 }
 
+/// A position that cannot be read is an error, and not a file without particles.
+#[test]
+fn unreadable_position_is_an_error() {
+    let wide = [64, 0, 52, 11, 0, 52, 255, 3, 0, 0];
+    let unusual = [64, 0, 52, 11, 0, 52, 254, 3, 0, 0];
+    let bytes = replaced("unnamed.h5", &wide, &unusual);
+    assert_eq!(samples(&bytes).unwrap(), [], "without the name of a position");
+    let bytes = replaced("frames.h5", &wide, &unusual);
+    let error = samples(&bytes).unwrap_err().to_string();
+    assert!(error.contains("skipped `particle_q`: its numbers"), "{error}");
+}
+
 /// The longest vector of real numbers is the position, if nothing has the name of one.
 #[test]
 fn position_without_a_name_is_the_longest_vector() {

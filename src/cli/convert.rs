@@ -418,8 +418,16 @@ fn not_mounted(folder: &Path, what: &str) -> anyhow::Error {
     io::Error::new(io::ErrorKind::NotConnected, error).into()
 }
 
-/// Refuses inputs whose folder does not exist: other shards see it.
+/// Refuses inputs that are missing or empty folders, or whose folder does not exist: other shards see them.
 fn check_mounted(inputs: &[PathBuf]) -> Result<()> {
+    let is_empty = |folder: &PathBuf| folder.read_dir().is_ok_and(|mut entries| entries.next().is_none());
+    // A missing name with an extension is that of a file, which no other run finds either.
+    let is_absent = |input: &&PathBuf| {
+        !is_pattern(input) && (!input.exists() && input.extension().is_none() || is_empty(input))
+    };
+    if let Some(input) = inputs.iter().find(is_absent) {
+        return Err(not_mounted(input, "it is missing or empty: is it mounted?"));
+    }
     let folders = inputs.iter().filter_map(|input| input.parent());
     let is_missing =
         |folder: &&Path| !folder.as_os_str().is_empty() && !is_pattern(folder) && !folder.exists();

@@ -29,7 +29,7 @@ use crate::pipeline::{
 use super::CommandOutcome;
 use super::args::{ConvertArgs, FormatArgs};
 use super::console::Console;
-use super::inputs::InputSelection;
+use super::inputs::{InputSelection, SelectedSequence};
 use super::machine::{memory_bytes, remove_when_interrupted};
 use super::wording::pluralize;
 
@@ -194,7 +194,7 @@ impl Destination {
 fn name_by(pattern: &str, selection: &mut InputSelection) -> Result<()> {
     let name = NumberPattern::find(pattern).with_context(|| format!("{pattern}: expected a placeholder"))?;
     let mut numbers = HashSet::new();
-    for frame in selection.sequences.iter_mut().flat_map(|sequence| &mut sequence.selected) {
+    for frame in selection.sequences.iter().flat_map(|sequence| &sequence.selected) {
         let Some(number) = frame.number() else {
             bail!(
                 "{}: the frame has no number for {pattern}: name a folder or a file with --out",
@@ -208,7 +208,14 @@ fn name_by(pattern: &str, selection: &mut InputSelection) -> Result<()> {
                 frame.name()
             );
         }
-        *frame = frame.clone().with_output_stem(name.name_of(number));
+    }
+    // A stage plays those that are not selected, too.
+    for SelectedSequence { sequence, selected } in &mut selection.sequences {
+        for frame in selected.iter_mut().chain(&mut sequence.frames) {
+            if let Some(number) = frame.number() {
+                *frame = frame.clone().with_output_stem(name.name_of(number));
+            }
+        }
     }
     Ok(())
 }

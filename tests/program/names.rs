@@ -125,6 +125,21 @@ fn times_in_names_are_one_sequence_in_the_order_of_their_values() {
     }
 }
 
+/// A stage plays the files that have other names than the frames, and not those of an earlier run.
+#[test]
+fn stage_plays_results_with_names_of_their_own() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 3);
+    for out in ["q", "q/w.####.usdc"] {
+        let stage = ["--format", "usdc", "--stage", "q/shot.usda"];
+        let result = meniscus(path, &[&["convert", "dam.#.ply", "--out", out], &stage[..]].concat());
+        assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+    }
+    let stage = played(&path.join("q/shot.usda"));
+    assert_eq!(stage, [1, 2, 3].map(|number| format!("./w.000{number}.usdc")));
+}
+
 #[test]
 fn folders_of_times_are_one_sequence() {
     let folder = tempdir().expect("a folder");

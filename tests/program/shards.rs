@@ -134,7 +134,8 @@ fn shard_does_not_create_the_output_folder() {
     assert!(!folder.join("out").exists());
     // Nor does another run help if the frames are not there.
     fs::create_dir(folder.join("out")).expect("made");
-    for (input, status) in [("gone/*.ply", 75), ("in/gone.ply", 2)] {
+    fs::create_dir(folder.join("empty")).expect("made");
+    for (input, status) in [("gone/*.ply", 75), ("gone", 75), ("empty", 75), ("in/gone.ply", 2)] {
         let result = meniscus(folder, &["convert", input, "--out", "out", "--shard", "1/1"]);
         assert_eq!(result.status, status, "{}", result.err);
     }

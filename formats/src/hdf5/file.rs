@@ -194,6 +194,8 @@ pub(super) struct HdfFile<'a> {
     pub(super) limits: &'a Limits,
     /// Bytes of data that may still be read.
     budget_bytes: Cell<u64>,
+    /// Whether a data set with the name of a position was left out, because it cannot be read.
+    pub(super) lacks_position: Cell<bool>,
     /// If data sets are stacks of all steps: which step is read of how many.
     pub(super) stack: Cell<Option<StackedStep>>,
 }
@@ -286,7 +288,7 @@ impl OpenFile {
 impl<'a> HdfFile<'a> {
     fn of(open: &'a OpenFile, limits: &'a Limits) -> HdfFile<'a> {
         let budget_bytes = Cell::new(limits.decompressed_bytes_of(open.byte_count));
-        HdfFile { open, limits, budget_bytes, stack: Cell::new(None) }
+        HdfFile { open, limits, budget_bytes, lacks_position: Cell::new(false), stack: Cell::new(None) }
     }
 
     /// The root group.
@@ -343,19 +345,25 @@ impl<'a> HdfFile<'a> {
     ) -> Result<Option<HdfTable>> {
         let reason = match group.dataset(name).map_err(error_of) {
             Ok(data) if is_axis(&data) => "it is the axis of a grid".to_owned(),
-            Ok(data) => match table_of(name, data, self.stack.get()) {
-                Ok((table, skipped)) => {
-                    if !skipped.is_empty() {
-                        notes.push(format!(
-                            "skipped fields of `{}` that are not numeric: {}",
-                            excerpt(name),
-                            excerpts(skipped)
-                        ));
+            Ok(data) => {
+                let may_be_position = data.shape().len() <= 2 && position_rank(name).is_some();
+                match table_of(name, data, self.stack.get()) {
+                    Ok((table, skipped)) => {
+                        if !skipped.is_empty() {
+                            notes.push(format!(
+                                "skipped fields of `{}` that are not numeric: {}",
+                                excerpt(name),
+                                excerpts(skipped)
+                            ));
+                        }
+                        return Ok(Some(table));
                     }
-                    return Ok(Some(table));
+                    Err(reason) => {
+                        self.lacks_position.set(may_be_position || self.lacks_position.get());
+                        reason
+                    }
                 }
-                Err(reason) => reason,
-            },
+            }
             Err(Error::Unsupported { what, .. }) => what,
             Err(error) => return Err(error),
         };

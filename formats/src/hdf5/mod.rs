@@ -100,6 +100,11 @@ impl FoundSteps {
             let mut steps = steps(file)?;
             let have_particles = !steps.is_empty();
             if !have_particles {
+                if file.lacks_position.get() {
+                    let mut notes = Vec::new();
+                    find_particles(file, &file.root()?, &mut notes)?;
+                    return Err(no_particles(file, notes));
+                }
                 steps.push(HdfStep { number: 0, group: file.root()?, stack: None });
             }
             Ok((steps, have_particles))
