@@ -70,10 +70,10 @@ fn frames_wait_for_the_first_one() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// A frame of one particle has no spacing, and no preset can be chosen by it. It waits for a frame with more
-/// particles.
+/// A frame of one particle has no spacing, and no preset can be chosen by it; eight particles say little of others.
+/// They wait for a frame with more particles.
 #[test]
-fn single_particle_frames_wait_for_one_that_can_be_measured() {
+fn frames_of_few_particles_wait_for_one_that_can_be_measured() {
     for (options, report, remedy) in [
         (&[][..], "cannot measure the particle spacing yet", "--spacing"),
         (
@@ -86,7 +86,7 @@ fn single_particle_frames_wait_for_one_that_can_be_measured() {
         let scene = Scene::new();
         let daemon = scene.watch(&[&QUICK[..], &options].concat());
         for number in 1..=2 {
-            scene.put(&format!("in/dam.{number}.ply"), ply(&block(1, 0.1, 0.0)));
+            scene.put(&format!("in/dam.{number}.ply"), ply(&block(number, 0.3, 0.0)));
         }
         scene.put("in/dam.3.ply", ply(&block(10, 0.12, 0.0)));
         daemon.await_lines(3, "all are converted", Line::is_converted);

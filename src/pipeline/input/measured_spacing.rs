@@ -180,7 +180,7 @@ pub fn measure_spacing<'a>(
             none.unreadable.get_or_insert_with(|| Box::new(error));
         }
     };
-    measure_sequence(&files, options, note).ok_or(none)
+    measure_sequence(&files, options, false, note).ok_or(none)
 }
 
 /// The result of measuring a frame.
@@ -188,28 +188,40 @@ pub fn measure_spacing<'a>(
 pub(crate) enum Attempt {
     /// The frame was measured.
     Measured,
-    /// It has fewer than two particles in different places, of this many.
+    /// It has this many particles, which are too few to measure.
     TooFewParticles { count: usize },
     /// It cannot be read.
     Unreadable(FrameError),
 }
 
+/// A frame with fewer particles, as at the start of an inflow, is measured only if no other frame can be.
+const PARTICLES_MIN: usize = 16;
+
 /// Estimates the spacing of a sequence from its first, middle and last frame, or their neighbours if these
-/// cannot be measured; `note` receives every frame that was read. `None` if none can be measured.
+/// cannot be measured; `note` receives every frame that was read. `None` if none can be measured. If
+/// `others_may_come` is true, frames with [few particles](PARTICLES_MIN) are not measured.
 pub(crate) fn measure_sequence(
     files: &[&Path],
     options: &SpacingOptions,
+    others_may_come: bool,
     mut note: impl FnMut(&Path, Attempt),
 ) -> Option<MeasuredSpacing> {
     let mut is_read = vec![false; files.len()];
+    let mut small_frames = Vec::new();
     let mut find = |candidates: &mut dyn Iterator<Item = usize>| {
         for index in candidates {
             if std::mem::replace(&mut is_read[index], true) {
                 continue;
             }
             let (attempt, frame) = match measured(files[index], options) {
-                Ok((_, Some(frame))) => (Attempt::Measured, Some((index, frame))),
-                Ok((count, None)) => (Attempt::TooFewParticles { count }, None),
+                Ok((count, Some(frame))) if count >= PARTICLES_MIN => {
+                    (Attempt::Measured, Some((index, frame)))
+                }
+                Ok((_, Some(frame))) if !others_may_come => {
+                    small_frames.push(frame);
+                    (Attempt::Measured, None)
+                }
+                Ok((count, _)) => (Attempt::TooFewParticles { count }, None),
                 Err(error) => (Attempt::Unreadable(error), None),
             };
             note(files[index], attempt);
@@ -219,7 +231,12 @@ pub(crate) fn measure_sequence(
         }
         None
     };
-    let (first, first_frame) = find(&mut (0..files.len()))?;
+    let Some((first, first_frame)) = find(&mut (0..files.len())) else {
+        let last = small_frames.len().checked_sub(1)?;
+        let chosen = small_frames.into_iter().enumerate();
+        let chosen = chosen.filter(|(index, _)| [0, last / 2, last].contains(index));
+        return combined(&chosen.map(|(_, frame)| frame).collect::<Vec<_>>());
+    };
     let (last, last_frame) = find(&mut (first + 1..files.len()).rev().take(TRIES_MAX)).unzip();
     let last = last.unwrap_or(first);
     let mut between: Vec<usize> = (first + 1..last).collect();

@@ -82,7 +82,9 @@ impl Core {
         let remembered = self.output_folder(sequence.root).records.sequences.get(&sequence.key).cloned();
         let given = (!watch.needs_measuring()).then(SharedSettings::default);
         let (options, known) = (options.clone(), given.or(remembered));
-        (!files.is_empty()).then_some(MeasureOrder { sequence: index, files, options, known, watch })
+        let others_may_come = !self.config.once;
+        let order = MeasureOrder { sequence: index, files, options, known, others_may_come, watch };
+        (!order.files.is_empty()).then_some(order)
     }
 
     /// A sequence was measured, or could not be.

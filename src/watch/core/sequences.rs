@@ -262,6 +262,8 @@ pub(crate) struct MeasureOrder {
     pub(crate) options: SpacingOptions,
     /// The known particle spacing, if only the camera is missing.
     pub(crate) known: Option<SharedSettings>,
+    /// Whether further frames may come, so that those with few particles need not be measured.
+    pub(crate) others_may_come: bool,
     /// The configuration of the watched folder.
     pub(crate) watch: Watch,
 }

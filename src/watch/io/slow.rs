@@ -83,7 +83,7 @@ fn measure(order: MeasureOrder) -> SpacingResult {
         None => {
             let paths: Vec<&Path> = order.files.iter().map(|(id, _)| &*id.path).collect();
             let note = |path: &Path, attempt: Attempt| note(&mut measured, path, attempt, &order);
-            let found = measure_sequence(&paths, &order.options, note);
+            let found = measure_sequence(&paths, &order.options, order.others_may_come, note);
             found.map(|found| {
                 let choices = &order.watch.choices;
                 let of_spacing = found.warnings.iter().filter(|_| choices.spacing.is_none()).cloned();
