@@ -106,13 +106,17 @@ fn printable(error: clap::Error, arguments: &[OsString]) -> clap::Error {
     Cli::try_parse_from(escaped).err().unwrap_or(error)
 }
 
-/// The hint for `-r RADIUS`, with which splashsurf gets the radius of the particles.
+/// Options with which other programs get the radius of the particles.
+const RADIUS_OPTIONS: [&str; 3] = ["-r", "--radius", "--particle-radius"];
+
+/// The hint for the radius of the particles, as in `-r 0.025`.
 fn radius_hint(error: &clap::Error, arguments: &[OsString]) -> Option<String> {
     let invalid = error.get(ContextKind::InvalidArg)?;
-    if error.kind() != ErrorKind::UnknownArgument || invalid.to_string() != "-r" {
+    let invalid = invalid.to_string();
+    if error.kind() != ErrorKind::UnknownArgument || !RADIUS_OPTIONS.contains(&&*invalid) {
         return None;
     }
-    let radius = arguments.iter().skip_while(|argument| *argument != "-r").nth(1);
+    let radius = arguments.iter().skip_while(|argument| **argument != *invalid).nth(1);
     let radius: Option<f64> = radius.and_then(|text| text.to_str()?.parse().ok());
     let spacing = radius.map_or("D".to_owned(), |radius| significant(2.0 * radius));
     Some(format!("hint: the spacing of particles is twice their radius: --spacing {spacing}"))

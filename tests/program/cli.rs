@@ -532,7 +532,11 @@ fn quiet_prints_warnings_and_errors_only() {
 #[test]
 fn radius_is_answered_with_the_spacing() {
     let folder = tempdir().expect("a folder");
-    for (arguments, hint) in [(&["-r", "0.025"][..], "--spacing 0.05"), (&["-r"], "--spacing D")] {
+    for (arguments, hint) in [
+        (&["-r", "0.025"][..], "--spacing 0.05"),
+        (&["-r"], "--spacing D"),
+        (&["--particle-radius", "0.025"], "--spacing 0.05"),
+    ] {
         let result = meniscus(folder.path(), &[&["convert", "a.1.ply"][..], arguments].concat());
         assert!(result.status == 2 && result.err.contains(hint), "{}", result.err);
     }
