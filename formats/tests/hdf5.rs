@@ -137,6 +137,7 @@ fn steps_and_iterations_are_frames() {
             format!("id 1 Id 100 105; particle_qd {VELOCITY}"),
             "",
         ),
+        ("numbered.h5", vec![(0, None), (2, None), (10, None)], format!("v {VELOCITY}"), ""),
         (
             "stacked.h5",
             vec![(0, None), (1, None), (2, None)],

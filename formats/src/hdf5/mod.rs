@@ -5,7 +5,7 @@
 //!   /PartType0/Coordinates (N, 3), Velocities, ParticleIDs ..           GADGET, SWIFT: PartType0 is gas
 //!   /particles/fluid/arrays/x (N), y, z, u, v, w, rho ..                PySPH
 //!   /Step#0/x (N), y, z ..   /Step#1/ ..                                H5Part: a frame for each step
-//!   /frame_0/pos (N, 3) ..   or /step_0                                 scripts: the same
+//!   /frame_0/pos (N, 3) ..   or /0, /frames/0                           scripts: the same
 //!   /data/100/particles/water/position/x (N) ..                         openPMD: a frame for each iteration
 //!   /VTKHDF/Points (N, 3), PointData/v                                  VTK
 //!   /any/group/pos (N, 3), vel   or   x (N), y, z   or records          any other program
@@ -187,7 +187,10 @@ struct HdfStep {
 }
 
 /// What stands before the number in the name of a step's group: H5Part's, and those of scripts.
-const STEP_PREFIXES: &[&str] = &["Step#", "frame_", "step_"];
+const STEP_PREFIXES: &[&str] = &["Step#", "frame_", "step_", "frame", "step", "t", ""];
+
+/// Groups of the root that have a group for each step: openPMD's, and those of scripts.
+const STEP_PARENTS: &[&str] = &["data", "frames", "steps"];
 
 /// The steps of the file; none if it has no particles. A file without steps is itself the only one.
 fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
@@ -197,14 +200,15 @@ fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
         let number = group.name().strip_prefix(prefix)?.parse().ok()?;
         Some(HdfStep { number, group: group.clone(), stack: None })
     };
-    let steps_of = |groups: &[Group], prefix: &str| -> Vec<HdfStep> {
-        groups.iter().filter_map(|group| step(group, prefix)).collect()
+    let steps_among = |groups: &[Group]| -> Vec<HdfStep> {
+        let named = |prefix: &&str| groups.iter().filter_map(|group| step(group, prefix)).collect();
+        STEP_PREFIXES.iter().map(named).find(|steps: &Vec<_>| !steps.is_empty()).unwrap_or_default()
     };
-    let is_named = |name: &str| groups.iter().any(|group| group.name().starts_with(name));
-    let prefix = STEP_PREFIXES.iter().find(|prefix| is_named(prefix));
-    let mut steps = prefix.map(|prefix| steps_of(&groups, prefix)).unwrap_or_default();
-    if let Some(data) = groups.iter().find(|group| group.name() == "data" && steps.is_empty()) {
-        steps = steps_of(&file.groups(data)?, "");
+    let mut steps = steps_among(&groups);
+    if let Some(parent) = groups.iter().find(|group| STEP_PARENTS.contains(&group.name()))
+        && steps.is_empty()
+    {
+        steps = steps_among(&file.groups(parent)?);
     }
     // Iterations can have fields only.
     let has_particles =

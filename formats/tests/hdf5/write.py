@@ -68,6 +68,12 @@ with new("frames.h5") as file:
         group["particle_q"], group["particle_qd"], group["id"] = position(step), VELOCITY, IDS
     file["step_of_time"] = 0.5
 
+with new("numbered.h5") as file:
+    for step in (10, 0, 2):
+        group = file.create_group(f"frames/{step}")
+        group["x"], group["v"] = position(step), VELOCITY
+    file.create_group("config").attrs["dt"] = 0.1
+
 # All steps in one data set.
 with new("stacked.h5") as file:
     stack = np.stack([position(step) for step in range(3)])
