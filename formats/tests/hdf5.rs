@@ -142,7 +142,9 @@ fn steps_and_iterations_are_frames() {
             "stacked.h5",
             vec![(0, None), (1, None), (2, None)],
             format!("id 1 Id 100 105; mass 1 Mass 0.5 0.5; vel {VELOCITY}"),
-            "skipped `F_x`: it has 3 rows for 6 particles|skipped `time`: it has 3 rows for 6 particles",
+            "skipped `kind`: the numbers of its steps have an unusual type: save it as float32|\
+                skipped `F_x`: it has 3 rows for 6 particles|skipped `box`: it has 3 rows for 6 particles|\
+                skipped `time`: it has 3 rows for 6 particles",
         ),
     ];
     for (name, expected, attributes, notes) in table {
@@ -260,11 +262,13 @@ fn species_are_joined_with_their_names() {
     let frame = read(&file("species.h5"), 0).unwrap();
     let of_type = |wanted: &str| frame.attributes.iter().find(|attribute| attribute.name == wanted).unwrap();
     assert_eq!(of_type("id").values, Values::I64(vec![104, 105, 100, 101, 102, 103]));
+    assert_eq!(of_type("diameter").values, Values::F64(vec![0.25; 6]), "of the radius");
     let species = of_type("species");
     assert_eq!((species.arity, species.role), (1, Some(AttributeRole::Kind)));
     let table = ["air", "water"].map(String::from).into();
     assert_eq!(species.values, Values::Strings { table, indices: vec![0, 0, 1, 1, 1, 1] });
     let notes = [
+        "`diameter` looks like a diameter: the radius is half of it",
         "joined the particles of 2 species",
         "skipped the array `only_here`: it is not the same in all species",
     ];

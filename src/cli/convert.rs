@@ -71,7 +71,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
     let pipe = StandardInput::take(args)?;
     let inputs = pipe.as_ref().map_or(&*args.inputs, |pipe| std::slice::from_ref(&pipe.path));
     if args.shard.is_some() {
-        check_mounted(&args.inputs)?;
+        check_mounted(inputs)?;
     }
     let mut selection = select_frames(inputs, args.frames.as_ref(), &args.method, console)?;
     if console.failed_count() > 0 && args.on_error == Some(OnError::Stop) {
@@ -423,7 +423,9 @@ fn check_mounted(inputs: &[PathBuf]) -> Result<()> {
     let is_empty = |folder: &PathBuf| folder.read_dir().is_ok_and(|mut entries| entries.next().is_none());
     // A missing name with an extension is that of a file, which no other run finds either.
     let is_absent = |input: &&PathBuf| {
-        !is_pattern(input) && (!input.exists() && input.extension().is_none() || is_empty(input))
+        let file = step_of(input).map_or(input.as_path(), |(file, _)| file);
+        let is_missing = !file.exists() && file.extension().is_none();
+        !is_pattern(input) && (is_missing || is_empty(input))
     };
     if let Some(input) = inputs.iter().find(is_absent) {
         return Err(not_mounted(input, "it is missing or empty: is it mounted?"));

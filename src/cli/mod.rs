@@ -116,8 +116,9 @@ fn radius_hint(error: &clap::Error, arguments: &[OsString]) -> Option<String> {
     if error.kind() != ErrorKind::UnknownArgument || !RADIUS_OPTIONS.contains(&&*invalid) {
         return None;
     }
-    let radius = arguments.iter().skip_while(|argument| **argument != *invalid).nth(1);
-    let radius: Option<f64> = radius.and_then(|text| text.to_str()?.parse().ok());
+    let words = arguments.iter().filter_map(|argument| argument.to_str());
+    let radius = words.flat_map(|word| word.split('=')).skip_while(|word| *word != invalid).nth(1);
+    let radius: Option<f64> = radius.and_then(|text| text.parse().ok());
     let spacing = radius.map_or("D".to_owned(), |radius| significant(2.0 * radius));
     Some(format!("hint: the spacing of particles is twice their radius: --spacing {spacing}"))
 }

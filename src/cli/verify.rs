@@ -138,7 +138,7 @@ fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: Vec<FrameFile>)
         let mut name = name_of.remove(&input).unwrap_or_else(|| file.stem().into());
         // Of several inputs with the same outputs, the first one is converted, and the others are missing.
         if !given.insert(name.clone()) {
-            name = file.path.file_name().unwrap_or_default().into();
+            name.clone_from(&file.path);
         }
         let records = frames.remove(&name).map_or_else(Vec::new, |known| known.records);
         frames.insert(name, KnownFrame { input, records, is_given: true });

@@ -536,6 +536,7 @@ fn radius_is_answered_with_the_spacing() {
         (&["-r", "0.025"][..], "--spacing 0.05"),
         (&["-r"], "--spacing D"),
         (&["--particle-radius", "0.025"], "--spacing 0.05"),
+        (&["--radius=0.025"], "--spacing 0.05"),
     ] {
         let result = meniscus(folder.path(), &[&["convert", "a.1.ply"][..], arguments].concat());
         assert!(result.status == 2 && result.err.contains(hint), "{}", result.err);

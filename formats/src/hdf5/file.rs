@@ -194,10 +194,19 @@ pub(super) struct HdfFile<'a> {
     pub(super) limits: &'a Limits,
     /// Bytes of data that may still be read.
     budget_bytes: Cell<u64>,
-    /// Whether a data set with the name of a position was left out, because it cannot be read.
-    pub(super) lacks_position: Cell<bool>,
+    /// Set if a data set with the name of a position was left out.
+    pub(super) lacks_position: Cell<Option<UnreadPosition>>,
     /// If data sets are stacks of all steps: which step is read of how many.
     pub(super) stack: Cell<Option<StackedStep>>,
+}
+
+/// Why a data set with the name of a position is none.
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum UnreadPosition {
+    /// It has another shape.
+    OtherShape,
+    /// It has the shape of positions, but cannot be read.
+    Unusable,
 }
 
 /// A step of data sets whose first axis is the steps.
@@ -288,7 +297,7 @@ impl OpenFile {
 impl<'a> HdfFile<'a> {
     fn of(open: &'a OpenFile, limits: &'a Limits) -> HdfFile<'a> {
         let budget_bytes = Cell::new(limits.decompressed_bytes_of(open.byte_count));
-        HdfFile { open, limits, budget_bytes, lacks_position: Cell::new(false), stack: Cell::new(None) }
+        HdfFile { open, limits, budget_bytes, lacks_position: Cell::new(None), stack: Cell::new(None) }
     }
 
     /// The root group.
@@ -346,7 +355,7 @@ impl<'a> HdfFile<'a> {
         let reason = match group.dataset(name).map_err(error_of) {
             Ok(data) if is_axis(&data) => "it is the axis of a grid".to_owned(),
             Ok(data) => {
-                let may_be_position = data.shape().len() <= 2 && position_rank(name).is_some();
+                let rank = data.shape().len();
                 match table_of(name, data, self.stack.get()) {
                     Ok((table, skipped)) => {
                         if !skipped.is_empty() {
@@ -359,16 +368,30 @@ impl<'a> HdfFile<'a> {
                         return Ok(Some(table));
                     }
                     Err(reason) => {
-                        self.lacks_position.set(may_be_position || self.lacks_position.get());
+                        self.note_position(name, rank);
                         reason
                     }
                 }
             }
-            Err(Error::Unsupported { what, .. }) => what,
+            Err(Error::Unsupported { what, .. }) => {
+                self.note_position(name, 2);
+                what
+            }
             Err(error) => return Err(error),
         };
         notes.push(format!("skipped `{}`: {reason}", excerpt(name)));
         Ok(None)
+    }
+
+    /// Notes that a data set with this number of axes was left out, if it has the name of a position.
+    fn note_position(&self, name: &str, rank: usize) {
+        if position_rank(name).is_some() {
+            match rank {
+                0 => {}
+                1 | 2 => self.lacks_position.set(Some(UnreadPosition::Unusable)),
+                _ => self.lacks_position.set(self.lacks_position.get().or(Some(UnreadPosition::OtherShape))),
+            }
+        }
     }
 
     /// Reads some fields of a table, which must be in it.
@@ -414,6 +437,12 @@ impl<'a> HdfFile<'a> {
     }
 }
 
+/// Whether the steps of a stack can have these numbers.
+fn is_read_in_parts(number: NumberType) -> bool {
+    use NumberType::{F32, F64, I32, I64, U8, U32};
+    matches!(number, F32 | F64 | U8 | I32 | I64 | U32)
+}
+
 /// The numbers of one step of a stack.
 fn values_of_step(data: &Dataset, step: u64, number: NumberType) -> Result<Values> {
     fn part<T: H5Type>(data: &Dataset, step: u64) -> Result<Vec<T>> {
@@ -427,13 +456,8 @@ fn values_of_step(data: &Dataset, step: u64, number: NumberType) -> Result<Value
         NumberType::F64 => Values::F64(part(data, step)?),
         NumberType::U8 => Values::U8(part(data, step)?),
         NumberType::I32 => Values::I32(part(data, step)?),
-        NumberType::I64 => Values::I64(part(data, step)?),
         NumberType::U32 => Values::I64(part::<u32>(data, step)?.into_iter().map(i64::from).collect()),
-        _ => {
-            let what =
-                "a data set with a row for each step has numbers of an unusual type: save it as float32";
-            return Err(Error::unsupported(FORMAT, what));
-        }
+        _ => Values::I64(part(data, step)?),
     })
 }
 
@@ -486,6 +510,9 @@ fn table_of(
     let stacked = stack.filter(|stack| shape.len() > 1 && shape[0] == stack.count);
     let of_frame = if stacked.is_some() { &shape[1..] } else { &shape[..] };
     let (fields, stride, row_count) = match (data.dtype(), of_frame) {
+        (Datatype::Compound { .. }, _) if stacked.is_some() => {
+            return Err("it has records for several steps: save a data set for each field".into());
+        }
         (Datatype::Compound { size, fields }, &[row_count]) => {
             let stride = usize::try_from(*size).unwrap_or_default();
             let mut columns = Vec::new();
@@ -505,6 +532,9 @@ fn table_of(
         }
         (datatype, shape) => {
             let (number, endian, inner) = numbers_of(datatype).ok_or("it is not numeric")?;
+            if stacked.is_some() && !is_read_in_parts(number) {
+                return Err("the numbers of its steps have an unusual type: save it as float32".into());
+            }
             if are_plain != [true] {
                 return Err(
                     "its numbers have an unusual layout of bits: save it as 32- or 64-bit floats".into()

@@ -31,16 +31,19 @@ use hdf5_reader::group::Group;
 use crate::batches::ReadAt;
 use crate::columns::position_rank;
 use crate::container::{ContainerFile, ContainerFrames, ContainerReader, ReadFrame, Sample, frame_at};
-use crate::data::{FileAttribute, ParticleFrame, Values};
+use crate::data::{FilePositions, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::named_arrays::{
-    Described, NamedArray, ParticlePart, frame_of, frame_of_parts, position_count, unnamed_position_count,
+    Described, NamedArray, ParticlePart, frame_of, joined_parts, position_count, unnamed_position_count,
 };
 use crate::number::wide;
 use crate::row::{FormatRow, ParticleReader};
 use crate::text::{excerpt, excerpts};
-use file::{HdfFile, HdfTable, OpenFile, StackedStep, attributes_of, number_in, with_file, with_open_file};
+use file::{
+    HdfFile, HdfTable, OpenFile, StackedStep, UnreadPosition, attributes_of, number_in, with_file,
+    with_open_file,
+};
 
 /// The format's name in errors.
 const FORMAT: &str = "HDF5";
@@ -100,7 +103,7 @@ impl FoundSteps {
             let mut steps = steps(file)?;
             let have_particles = !steps.is_empty();
             if !have_particles {
-                if file.lacks_position.get() {
+                if file.lacks_position.get() == Some(UnreadPosition::Unusable) {
                     let mut notes = Vec::new();
                     find_particles(file, &file.root()?, &mut notes)?;
                     return Err(no_particles(file, notes));
@@ -200,23 +203,27 @@ fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
         let number = group.name().strip_prefix(prefix)?.parse().ok()?;
         Some(HdfStep { number, group: group.clone(), stack: None })
     };
-    let steps_among = |groups: &[Group]| -> Vec<HdfStep> {
-        let named = |prefix: &&str| groups.iter().filter_map(|group| step(group, prefix)).collect();
-        STEP_PREFIXES.iter().map(named).find(|steps: &Vec<_>| !steps.is_empty()).unwrap_or_default()
-    };
-    let mut steps = steps_among(&groups);
-    if let Some(parent) = groups.iter().find(|group| STEP_PARENTS.contains(&group.name()))
-        && steps.is_empty()
-    {
-        steps = steps_among(&file.groups(parent)?);
-    }
-    // Iterations can have fields only.
     let has_particles =
         |group: &Group| Ok::<_, Error>(!find_particles(file, group, &mut Vec::new())?.is_empty());
-    if let Some(first) = steps.first()
-        && !has_particles(&first.group)?
+    let parents = groups.iter().filter(|group| STEP_PARENTS.contains(&group.name()));
+    let below: Vec<Vec<Group>> = parents.map(|parent| file.groups(parent)).collect::<Result<_>>()?;
+    let mut steps = Vec::new();
+    for (groups, prefix) in [groups]
+        .iter()
+        .chain(&below)
+        .flat_map(|groups| STEP_PREFIXES.iter().map(move |prefix| (groups, prefix)))
     {
-        steps.clear();
+        let found: Vec<HdfStep> = groups.iter().filter_map(|group| step(group, prefix)).collect();
+        // Iterations can have fields only.
+        for candidate in &found {
+            if has_particles(&candidate.group)? {
+                steps = found;
+                break;
+            }
+        }
+        if !steps.is_empty() {
+            break;
+        }
     }
     if steps.is_empty() && has_particles(&root)? {
         steps.push(HdfStep { number: 0, group: root, stack: None });
@@ -298,11 +305,17 @@ fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Resu
         let are_species = particles_path(file)?.is_some();
         return Ok(if are_species { named } else { vec![chosen(named, notes)] });
     }
+    if file.lacks_position.get().is_some() {
+        return Ok(Vec::new());
+    }
     // A position without the name of one can be anything: the longest, if there is one.
     let mut found = groups_with(file, step, unnamed_position_count, false, &mut Vec::new())?;
     found.sort_by_key(|group| Reverse(group.particle_count));
     let is_longest = found.get(1).is_none_or(|second| second.particle_count < found[0].particle_count);
-    found.truncate(if is_longest { 1 } else { 0 });
+    found.truncate(usize::from(is_longest));
+    if !found.is_empty() {
+        *notes = Vec::new();
+    }
     Ok(found)
 }
 
@@ -473,30 +486,34 @@ fn count_of(tables: &[HdfTable], count: fn(&[Described]) -> Option<usize>) -> Op
 /// Reads groups. The particles of several ones are joined, and have the name of their group as the attribute
 /// `species`.
 fn frame(file: &HdfFile, mut groups: Vec<ParticleGroup>, mut notes: Vec<String>) -> Result<ParticleFrame> {
-    if let [only] = &mut groups[..] {
-        let mut frame = frame_of_group(file, std::mem::take(only), &mut notes)?;
-        frame.notes.append(&mut notes);
-        frame.notes.extend(file.notes());
-        return Ok(frame);
-    }
-    let mut parts = Vec::new();
-    for group in groups {
-        let table = vec![group.path.rsplit('/').next().unwrap_or_default().to_owned()];
-        let ParticleFrame { positions, attributes, notes: of_group } =
-            frame_of_group(file, group, &mut notes)?;
-        notes.extend(of_group);
-        let array = |FileAttribute { name, arity, values, .. }| NamedArray { name, arity, values };
-        let mut arrays: Vec<NamedArray> = attributes.into_iter().map(array).collect();
-        let values = Values::Strings { table, indices: vec![0; positions.len()] };
-        arrays.push(NamedArray { name: "species".to_owned(), arity: 1, values });
-        parts.push(ParticlePart { positions, arrays });
-    }
-    notes.extend(file.notes());
-    Ok(frame_of_parts(parts, "species", notes))
+    let arrays = if let [only] = &mut groups[..] {
+        arrays_of(file, std::mem::take(only), &mut notes)?
+    } else {
+        notes.push(format!("joined the particles of {} species", groups.len()));
+        let mut parts = Vec::new();
+        for group in groups {
+            let (table, count) = (vec![group_name(&group.path).to_owned()], group.particle_count);
+            let mut arrays = arrays_of(file, group, &mut notes)?;
+            let values = Values::Strings { table, indices: vec![0; count] };
+            arrays.push(NamedArray { name: "species".to_owned(), arity: 1, values });
+            // The positions are still among the arrays.
+            parts.push(ParticlePart { positions: FilePositions::F32(vec![[0.0; 3]; count]), arrays });
+        }
+        joined_parts(parts, "species", &mut notes).arrays
+    };
+    let mut frame = frame_of(None, arrays).ok_or_else(|| no_particles(file, Vec::new()))?;
+    frame.notes.append(&mut notes);
+    frame.notes.extend(file.notes());
+    Ok(frame)
+}
+
+/// The last part of a path.
+fn group_name(path: &str) -> &str {
+    path.rsplit('/').next().unwrap_or_default()
 }
 
 /// Reads the tables of a group that have a row for each particle.
-fn frame_of_group(file: &HdfFile, group: ParticleGroup, notes: &mut Vec<String>) -> Result<ParticleFrame> {
+fn arrays_of(file: &HdfFile, group: ParticleGroup, notes: &mut Vec<String>) -> Result<Vec<NamedArray>> {
     let mut arrays = Vec::new();
     notes.extend(group.notes);
     for table in group.tables {
@@ -520,7 +537,7 @@ fn frame_of_group(file: &HdfFile, group: ParticleGroup, notes: &mut Vec<String>)
             "the positions have offsets (positionOffset), which are not supported: add them to the positions";
         return Err(Error::unsupported(FORMAT, what));
     }
-    frame_of(None, arrays).ok_or_else(|| no_particles(file, Vec::new()))
+    Ok(arrays)
 }
 
 fn no_particles(file: &HdfFile, notes: Vec<String>) -> Error {

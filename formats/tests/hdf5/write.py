@@ -72,7 +72,8 @@ with new("numbered.h5") as file:
     for step in (10, 0, 2):
         group = file.create_group(f"frames/{step}")
         group["x"], group["v"] = position(step), VELOCITY
-    file.create_group("config").attrs["dt"] = 0.1
+    file.create_group("data/0")["density"] = np.zeros((4, 4, 4))
+    file.create_group("t5").attrs["dt"] = 0.1
 
 # All steps in one data set.
 with new("stacked.h5") as file:
@@ -80,6 +81,8 @@ with new("stacked.h5") as file:
     file.create_dataset("F_x", data=np.zeros((3, 3)))
     file.create_dataset("pos", data=stack, chunks=(1, 4, 3), compression="gzip")
     file["vel"] = np.stack([VELOCITY] * 3)
+    file["box"] = np.ones((3, 3))
+    file["kind"] = np.zeros((3, N), "i2")
     file["mass"] = np.full((3, N), 0.5)
     file["id"] = IDS
     file["time"] = np.arange(3.0)
@@ -121,7 +124,7 @@ with new("species.h5") as file:
         group = file.create_group(f"data/7/particles/{name}")
         for axis, values in zip("xyz", position()[ids - 100].T):
             group[f"position/{axis}"] = values.copy()
-        group["id"] = ids
+        group["id"], group["diameter"] = ids, np.full(len(ids), 0.5)
         if name == "water":
             group["only_here"] = np.zeros(4)
 

@@ -302,6 +302,10 @@ impl<'a> Tuning<'a> {
             let is_due = next_write.is_none_or(|next| began >= next);
             if counts.done_count > 0 && is_due && number < grid.cells.len() {
                 if let Err(error) = write(&sheet) {
+                    // The first one shows whether it can be written at all.
+                    if next_write.is_none() {
+                        return Err(error);
+                    }
                     console.warning(format_args!("the sheet is not written yet: {}", with_causes(&error)));
                 }
                 next_write = Some(Instant::now() + BETWEEN_WRITES.max(WRITING_SHARE * began.elapsed()));

@@ -214,7 +214,10 @@ pub(crate) fn measure_sequence(
                 continue;
             }
             let (attempt, frame) = match measured(files[index], options) {
-                Ok((count, Some(frame))) if count >= PARTICLES_MIN => {
+                // Radii say as much in a small frame.
+                Ok((count, Some(frame)))
+                    if count >= PARTICLES_MIN || options.per_particle_radius.is_some() =>
+                {
                     (Attempt::Measured, Some((index, frame)))
                 }
                 Ok((_, Some(frame))) if !others_may_come => {

@@ -108,12 +108,12 @@ impl fmt::Display for Reason {
             Reason::Retry => "it failed with an error that may be temporary",
             Reason::ConflictGone => "it was refused for a reason that may be gone now",
             Reason::NoSpacing => {
-                "cannot measure the particle spacing yet, because no frame of the sequence has 16 particles \
-                 in different places: waiting for one that has; or give --spacing"
+                "cannot measure the particle spacing yet, because no frame of the sequence has 16 particles: \
+                 waiting for one that has; or give --spacing"
             }
             Reason::NoPreset => {
-                "cannot choose the preset by the particles yet, because no frame of the sequence has 16 in \
-                 different places: waiting for one that has; or give a --preset other than auto"
+                "cannot choose the preset by the particles yet, because no frame of the sequence has 16: \
+                 waiting for one that has; or give a --preset other than auto"
             }
             Reason::NoCamera => {
                 "cannot place the camera of the pictures yet, because no frame of the sequence has \

@@ -609,10 +609,10 @@ impl Settings {
         }
         if self.start == Start::Kernels
             && self.per_particle_radius.is_none()
-            && self.voxel_size > self.spacing
+            && self.voxel_size > 1.001 * self.spacing
         {
             let [size, spacing, usual] =
-                [self.voxel_size, self.spacing, 0.32 * self.spacing].map(significant);
+                [self.voxel_size, self.spacing, self.preset.voxel_size(self.spacing)].map(significant);
             warnings.push(format!(
                 "the voxel size {size} is larger than the particle spacing {spacing}, so the surface is much too large, as \
                  each particle becomes a ball of at least a voxel: choose at most {spacing}, or {usual}, the default"
