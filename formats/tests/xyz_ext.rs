@@ -75,7 +75,12 @@ fn columns_after_the_position_are_kept() {
     let found: Vec<_> = frame.attributes.iter().map(|a| (a.name.as_str(), a.arity, a.role)).collect();
     assert_eq!(
         found,
-        [("species", 1, None), ("id", 1, Some(AttributeRole::Id)), ("velo", 3, None), ("q", 2, None)]
+        [
+            ("species", 1, Some(AttributeRole::Kind)),
+            ("id", 1, Some(AttributeRole::Id)),
+            ("velo", 3, None),
+            ("q", 2, None)
+        ]
     );
     assert_eq!(frame.attributes[2].values, Values::F64(vec![1.0, 2.5, 3.0]));
 }
