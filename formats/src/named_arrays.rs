@@ -52,7 +52,7 @@ pub(crate) fn frame_of(
     let (unnamed, positions) = match named {
         Some(positions) => (None, positions),
         None => {
-            let index = unnamed_position(&arrays.iter().map(Described::of).collect::<Vec<_>>())?;
+            let index = unnamed_position(&arrays.iter().map(ArrayShape::of).collect::<Vec<_>>())?;
             let NamedArray { name, values, .. } = arrays.remove(index);
             (Some(name), number::positions(values)?)
         }
@@ -80,7 +80,7 @@ pub(crate) fn frame_of(
 
 /// An array that may not be read yet.
 #[derive(Clone, Copy)]
-pub(crate) struct Described<'a> {
+pub(crate) struct ArrayShape<'a> {
     pub(crate) name: &'a str,
     /// Number of values per row.
     pub(crate) arity: usize,
@@ -89,9 +89,9 @@ pub(crate) struct Described<'a> {
     pub(crate) is_real: bool,
 }
 
-impl<'a> Described<'a> {
-    pub(crate) fn of(array: &'a NamedArray) -> Described<'a> {
-        Described {
+impl<'a> ArrayShape<'a> {
+    pub(crate) fn of(array: &'a NamedArray) -> ArrayShape<'a> {
+        ArrayShape {
             name: &array.name,
             arity: array.arity,
             row_count: array.particle_count(),
@@ -101,7 +101,7 @@ impl<'a> Described<'a> {
 }
 
 /// The number of particles of arrays: that of the position. `None` if no name says that it is one.
-pub(crate) fn position_count(arrays: &[Described]) -> Option<usize> {
+pub(crate) fn position_count(arrays: &[ArrayShape]) -> Option<usize> {
     let vectors: Vec<_> = arrays.iter().filter(|array| array.arity == 3).collect();
     let names: Vec<&str> = vectors.iter().map(|array| array.name).collect();
     if let Some(index) = named_position(&names) {
@@ -114,7 +114,7 @@ pub(crate) fn position_count(arrays: &[Described]) -> Option<usize> {
 }
 
 /// The number of particles of arrays without such a name, if one of them must be the position.
-pub(crate) fn unnamed_position_count(arrays: &[Described]) -> Option<usize> {
+pub(crate) fn unnamed_position_count(arrays: &[ArrayShape]) -> Option<usize> {
     unnamed_position(arrays).map(|index| arrays[index].row_count)
 }
 
@@ -212,10 +212,10 @@ const PAIRS: [(&str, &str); 2] = [("f_x", "f_v"), ("q", "qd")];
 
 /// The position among arrays without the name of one: that of a [pair](PAIRS), or the longest array, if it is the only
 /// vector of its length, has real numbers and no role.
-fn unnamed_position(arrays: &[Described]) -> Option<usize> {
+fn unnamed_position(arrays: &[ArrayShape]) -> Option<usize> {
     let vectors = || arrays.iter().enumerate().filter(|(_, array)| array.arity == 3);
     let named = |wanted: &str| {
-        let is_named = |(_, array): &(usize, &Described)| array.name.eq_ignore_ascii_case(wanted);
+        let is_named = |(_, array): &(usize, &ArrayShape)| array.name.eq_ignore_ascii_case(wanted);
         vectors().find(is_named).map(|(index, _)| index)
     };
     if let Some((position, _)) =

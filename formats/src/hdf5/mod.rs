@@ -35,7 +35,7 @@ use crate::data::{FilePositions, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::named_arrays::{
-    Described, NamedArray, ParticlePart, frame_of, joined_parts, position_count, unnamed_position_count,
+    ArrayShape, NamedArray, ParticlePart, frame_of, joined_parts, position_count, unnamed_position_count,
 };
 use crate::number::wide;
 use crate::row::{FormatRow, ParticleReader};
@@ -69,7 +69,7 @@ pub(crate) static ROW: FormatRow = FormatRow {
 /// [`Error::Truncated`] if the file is not complete, [`Error::Invalid`] if it is damaged,
 /// [`Error::Unsupported`] for what `hdf5-reader` cannot read, [`Error::TooLarge`] beyond `limits`.
 pub fn frames(container: &ContainerFile, limits: &Limits) -> Result<ContainerFrames> {
-    let found = FoundSteps::find(container.file, limits)?;
+    let found = OpenSteps::find(container.file, limits)?;
     let sample = |file: &HdfFile, step: &HdfStep| {
         let time = if step.stack.is_some() { None } else { time_of(file, &step.group)? };
         Ok(Sample { number: step.number, time })
@@ -84,7 +84,7 @@ pub fn frames(container: &ContainerFile, limits: &Limits) -> Result<ContainerFra
 }
 
 /// An open file with its steps.
-struct FoundSteps {
+struct OpenSteps {
     file: OpenFile,
     /// At least one.
     steps: Vec<HdfStep>,
@@ -97,8 +97,8 @@ struct FoundSteps {
 /// After so many bytes the file is opened again, and its steps are found again.
 const KEPT_BYTES_MAX: u64 = 128 << 20;
 
-impl FoundSteps {
-    fn find(file: &dyn ReadAt, limits: &Limits) -> Result<FoundSteps> {
+impl OpenSteps {
+    fn find(file: &dyn ReadAt, limits: &Limits) -> Result<OpenSteps> {
         let ((steps, have_particles), file) = with_file(file, limits, |file| {
             let mut steps = steps(file)?;
             let have_particles = !steps.is_empty();
@@ -112,15 +112,15 @@ impl FoundSteps {
             }
             Ok((steps, have_particles))
         })?;
-        Ok(FoundSteps { file, steps, have_particles, read_bytes: AtomicU64::new(0) })
+        Ok(OpenSteps { file, steps, have_particles, read_bytes: AtomicU64::new(0) })
     }
 }
 
 /// Reads the steps of a file. Keeps the file that they were found in, unless it has only one.
-struct HdfSteps(Mutex<Option<Arc<FoundSteps>>>);
+struct HdfSteps(Mutex<Option<Arc<OpenSteps>>>);
 
 impl HdfSteps {
-    fn kept(&self) -> MutexGuard<'_, Option<Arc<FoundSteps>>> {
+    fn kept(&self) -> MutexGuard<'_, Option<Arc<OpenSteps>>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -138,7 +138,7 @@ impl ReadFrame for HdfSteps {
         let kept = self.kept().clone();
         let found = match &kept {
             Some(found) => Arc::clone(found),
-            None => Arc::new(FoundSteps::find(container.file, limits)?),
+            None => Arc::new(OpenSteps::find(container.file, limits)?),
         };
         let step = frame_at(FORMAT, &found.steps, index)?;
         let frame = with_open_file(&found.file, container.file, limits, |file| {
@@ -323,7 +323,7 @@ fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Resu
 fn groups_with(
     file: &HdfFile,
     step: &Group,
-    count: fn(&[Described]) -> Option<usize>,
+    count: fn(&[ArrayShape]) -> Option<usize>,
     nearest: bool,
     notes: &mut Vec<String>,
 ) -> Result<Vec<ParticleGroup>> {
@@ -469,11 +469,11 @@ fn name_velocity(tables: &mut [HdfTable]) {
 }
 
 /// The number of particles that `count` finds in the tables.
-fn count_of(tables: &[HdfTable], count: fn(&[Described]) -> Option<usize>) -> Option<usize> {
+fn count_of(tables: &[HdfTable], count: fn(&[ArrayShape]) -> Option<usize>) -> Option<usize> {
     let mut described = Vec::new();
     for table in tables {
         let row_count = usize::try_from(table.row_count).unwrap_or(usize::MAX);
-        described.extend(table.fields.iter().map(|field| Described {
+        described.extend(table.fields.iter().map(|field| ArrayShape {
             name: &field.name,
             arity: field.arity,
             row_count,

@@ -27,7 +27,7 @@ use crate::data::{FilePositions, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::first_column::{self, FirstColumn};
 use crate::limits::Limits;
-use crate::named_arrays::{Described, NamedArray, frame_of, position_count, unnamed_position_count};
+use crate::named_arrays::{ArrayShape, NamedArray, frame_of, position_count, unnamed_position_count};
 use crate::number::{self, NumberType, components, interleaved};
 use crate::row::{Completeness, FormatRow, HeadCheck, ParticleReader};
 use crate::steps::{FoundStep, StepSource};
@@ -388,7 +388,7 @@ fn first_numbers(values: &Values, arity: usize) -> Vec<[f64; 4]> {
 
 /// The frame of an archive. Skips arrays that do not have a value for each particle, with a note.
 fn frame_of_archive(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result<ParticleFrame> {
-    let described: Vec<_> = arrays.iter().map(Described::of).collect();
+    let described: Vec<_> = arrays.iter().map(ArrayShape::of).collect();
     let count = match position_count(&described).or_else(|| unnamed_position_count(&described)) {
         Some(count) => count,
         None => return frame_of_only(arrays, notes),
