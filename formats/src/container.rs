@@ -62,7 +62,7 @@ pub struct ContainerFrames {
     reader: Arc<dyn ReadFrame>,
 }
 
-/// Reads the frames of a container, with what is known of its structure.
+/// Reads the frames of a container, and may keep its structure.
 pub(crate) trait ReadFrame: fmt::Debug + Send + Sync {
     /// Reads a frame by its index. The container is the one in which the frames were found, opened again.
     fn read(&self, container: &ContainerFile, index: usize, limits: &Limits) -> Result<ParticleFrame>;

@@ -349,7 +349,7 @@ mod tests {
             assert_eq!(found.map(|found| &*found.name), velocity, "{names:?}");
             assert_eq!(frame.notes.len(), usize::from(names == ["arr_0"]), "{:?}", frame.notes);
         }
-        // What is only a velocity, or one of several unknown vectors, is no position.
+        // A velocity alone, or one of several unknown vectors, does not become the position.
         for names in [&["v"][..], &["a_b", "c_d"]] {
             assert_eq!(frame_of(None, names.iter().map(|name| array(name, 3)).collect()), None, "{names:?}");
         }

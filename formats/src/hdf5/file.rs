@@ -194,13 +194,13 @@ pub(super) struct HdfFile<'a> {
     pub(super) limits: &'a Limits,
     /// Bytes of data that may still be read.
     budget_bytes: Cell<u64>,
-    /// Set if a data set with the name of a position was left out.
+    /// Why a data set with the name of a position was left out, if one was.
     pub(super) lacks_position: Cell<Option<UnreadPosition>>,
     /// If data sets are stacks of all steps: which step is read of how many.
     pub(super) stack: Cell<Option<StackedStep>>,
 }
 
-/// Why a data set with the name of a position is none.
+/// Why a data set with the name of a position was left out.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum UnreadPosition {
     /// It has another shape.

@@ -78,7 +78,7 @@ pub fn frames(container: &ContainerFile, limits: &Limits) -> Result<ContainerFra
         let steps = found.steps.iter().filter(|_| found.have_particles);
         steps.map(|step| sample(file, step)).collect::<Result<Vec<_>>>()
     })?;
-    // What is known of a file with one frame is of no further use.
+    // Only further frames need the structure again.
     let kept = Mutex::new((samples.len() > 1).then(|| Arc::new(found)));
     Ok(ContainerFrames::new(samples, HdfSteps(kept)))
 }
@@ -94,7 +94,7 @@ struct OpenSteps {
     read_bytes: AtomicU64,
 }
 
-/// After so many bytes the file is opened again, and its steps are found again.
+/// After this size of data the file is opened again, and its steps are found again.
 const KEPT_BYTES_MAX: u64 = 128 << 20;
 
 impl OpenSteps {
@@ -199,33 +199,15 @@ const STEP_PARENTS: &[&str] = &["data", "frames", "steps"];
 fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
     let root = file.root()?;
     let groups = file.groups(&root)?;
-    let step = |group: &Group, prefix: &str| {
-        let number = group.name().strip_prefix(prefix)?.parse().ok()?;
-        Some(HdfStep { number, group: group.clone(), stack: None })
-    };
-    let has_particles =
-        |group: &Group| Ok::<_, Error>(!find_particles(file, group, &mut Vec::new())?.is_empty());
     let parents = groups.iter().filter(|group| STEP_PARENTS.contains(&group.name()));
     let below: Vec<Vec<Group>> = parents.map(|parent| file.groups(parent)).collect::<Result<_>>()?;
     let mut steps = Vec::new();
-    for (groups, prefix) in [groups]
-        .iter()
-        .chain(&below)
-        .flat_map(|groups| STEP_PREFIXES.iter().map(move |prefix| (groups, prefix)))
-    {
-        let found: Vec<HdfStep> = groups.iter().filter_map(|group| step(group, prefix)).collect();
-        // Iterations can have fields only.
-        for candidate in &found {
-            if has_particles(&candidate.group)? {
-                steps = found;
-                break;
-            }
-        }
-        if !steps.is_empty() {
-            break;
+    for groups in [groups].iter().chain(&below) {
+        if steps.is_empty() {
+            steps = numbered_steps(file, groups)?;
         }
     }
-    if steps.is_empty() && has_particles(&root)? {
+    if steps.is_empty() && has_particles(file, &root)? {
         steps.push(HdfStep { number: 0, group: root, stack: None });
     } else if steps.is_empty() {
         let count = file.stacked_steps(&root)?.unwrap_or_default();
@@ -243,6 +225,27 @@ fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
     }
     steps.sort_by_key(|step| step.number);
     Ok(steps)
+}
+
+/// The steps among groups: those with the first prefix of which one has particles. Iterations can have fields only.
+fn numbered_steps(file: &HdfFile, groups: &[Group]) -> Result<Vec<HdfStep>> {
+    for prefix in STEP_PREFIXES {
+        let step = |group: &Group| {
+            let number = group.name().strip_prefix(prefix)?.parse().ok()?;
+            Some(HdfStep { number, group: group.clone(), stack: None })
+        };
+        let steps: Vec<HdfStep> = groups.iter().filter_map(step).collect();
+        for step in &steps {
+            if has_particles(file, &step.group)? {
+                return Ok(steps);
+            }
+        }
+    }
+    Ok(Vec::new())
+}
+
+fn has_particles(file: &HdfFile, step: &Group) -> Result<bool> {
+    Ok(!find_particles(file, step, &mut Vec::new())?.is_empty())
 }
 
 /// Where an openPMD file has particles, below each iteration; `None` for other files.
@@ -308,7 +311,7 @@ fn find_particles(file: &HdfFile, step: &Group, notes: &mut Vec<String>) -> Resu
     if file.lacks_position.get().is_some() {
         return Ok(Vec::new());
     }
-    // A position without the name of one can be anything: the longest, if there is one.
+    // Any vector can be a position without a name: the longest is the most likely one.
     let mut found = groups_with(file, step, unnamed_position_count, false, &mut Vec::new())?;
     found.sort_by_key(|group| Reverse(group.particle_count));
     let is_longest = found.get(1).is_none_or(|second| second.particle_count < found[0].particle_count);

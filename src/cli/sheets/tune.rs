@@ -81,7 +81,7 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
     Ok(counts.outcome())
 }
 
-/// The least time between two writes of the sheet, which can be looked at while its cells are computed.
+/// The least time between two writes of the sheet: users open it while its cells are computed.
 const BETWEEN_WRITES: Duration = Duration::from_secs(2);
 
 /// Writing the sheet early takes at most one part in this of the time.
