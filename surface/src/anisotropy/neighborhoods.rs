@@ -258,7 +258,11 @@ impl ParticleRun<'_> {
         if !rest.is_empty() {
             add_moments(&mut sums, &self.packet(own, eights, rest), at);
         }
-        sums.map(total)
+        let mut moments = [0.0; COUNT];
+        for (moment, sum) in moments.iter_mut().zip(sums) {
+            *moment = total(sum);
+        }
+        moments
     }
 
     /// At most eight particles around one of the scale `own`, smaller ones by their volume.
@@ -451,11 +455,16 @@ impl ParticlePacket {
     }
 }
 
+/// Written out, because `map` of an array is not inlined, and then each operation is a call.
+#[inline(always)]
+fn offsets_of<V: Lanes>(particles: &ParticlePacket, at: Vec3) -> [V; 3] {
+    let [x, y, z] = &particles.along;
+    [V::load(x).sub(V::splat(at.x)), V::load(y).sub(V::splat(at.y)), V::load(z).sub(V::splat(at.z))]
+}
+
 #[inline(always)]
 fn add_moments<V: Lanes, const COUNT: usize>(sums: &mut [V; COUNT], particles: &ParticlePacket, at: Vec3) {
-    let dx = V::load(&particles.along[0]).sub(V::splat(at.x));
-    let dy = V::load(&particles.along[1]).sub(V::splat(at.y));
-    let dz = V::load(&particles.along[2]).sub(V::splat(at.z));
+    let [dx, dy, dz] = offsets_of::<V>(particles, at);
     let squared = dx.mul(dx).add(dy.mul(dy)).add(dz.mul(dz));
     let fallen = V::splat(1.0).sub(squared.mul(squared.sqrt()));
     let weight = fallen.mul(fallen).mul(V::load(&particles.multiplicity));
@@ -469,7 +478,7 @@ fn add_moments<V: Lanes, const COUNT: usize>(sums: &mut [V; COUNT], particles: &
 /// The kernels of particles at `at`, each with this shape, in units of its reach, over its size.
 #[inline(always)]
 fn kernels_of<V: Lanes>(particles: &ParticlePacket, at: Vec3, shape: [f32; 6], sizes: &[f32; 8]) -> V {
-    let [x, y, z] = [0, 1, 2].map(|axis| V::load(&particles.along[axis]).sub(V::splat(at[axis])));
+    let [x, y, z] = offsets_of::<V>(particles, at);
     let [xx, yy, zz, xy, xz, yz] = shape.map(V::splat);
     let tx = xx.mul(x).add(xy.mul(y)).add(xz.mul(z));
     let ty = xy.mul(x).add(yy.mul(y)).add(yz.mul(z));
