@@ -112,11 +112,11 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
     read_particles_named(bytes, file_name, &[], limits)
 }
 
-/// Like [`read_particles`], with [new names](csv::read_named) for columns of a table. For a file that is no table they
-/// have no effect, and a note says so: tables may be among other files.
+/// Like [`read_particles`], with [new names](csv::read_named) for columns of a table. For a file whose format names its
+/// positions they have no effect, and a note says so: tables may be among other files.
 ///
 /// # Errors
-/// Those of [`read_particles`] and [`csv::read_named`].
+/// Those of [`read_particles`] and [`csv::read_named`]; `Unsupported` for new names in a file of arrays.
 pub fn read_particles_named(
     bytes: &[u8],
     file_name: &str,
@@ -129,11 +129,17 @@ pub fn read_particles_named(
         }
         frame
     };
-    if let Some(frame) = packed::unpack(bytes, limits) {
-        let format = format_of_packed(bytes).map_or("", Format::name);
-        return with_finite(format, with_note(frame?));
-    }
+    let packed = format_of_packed(bytes);
     let Probe { kind, codec } = probe(bytes, file_name);
+    if let Some(format @ (Format::Npy | Format::Npz | Format::Hdf5 | Format::Json)) = packed.or(kind.format())
+        && !columns.is_empty()
+    {
+        let what = "--columns renames columns of tables of text, not arrays: rename the arrays in the file";
+        return Err(Error::unsupported(format.name(), what));
+    }
+    if let Some(frame) = packed::unpack(bytes, limits) {
+        return with_finite(packed.map_or("", Format::name), with_note(frame?));
+    }
     let is_vague = matches!(kind, ProbedKind::Empty | ProbedKind::Unknown | ProbedKind::UnknownText);
     if let Some(codec) = codec.filter(|_| is_vague) {
         codec.check_start(bytes)?;

@@ -87,6 +87,13 @@ fn errors_propose_the_option_and_say_what_is_missing() {
     let ply = ["convert", "block.ply", "--out", "out", "--columns", "x=1,y=2,z=3"];
     let ply = meniscus(folder, &ply);
     assert!(ply.status == 0 && ply.err.contains("--columns is ignored"), "{}{}", ply.out, ply.err);
+    fs::write(folder.join("block.json"), r#"{"x": [0, 1, 2], "y": [0, 1, 0], "z": [0, 0, 1]}"#)
+        .expect("written");
+    assert_refused(
+        folder,
+        &["convert", "block.json", "--out", "out", "--columns", "x=y,y=x,z=z"],
+        &["--columns renames columns of tables"],
+    );
     // A folder of files that are recognised, and not read: the message names one.
     fs::create_dir(folder.join("molecules")).expect("made");
     fs::write(folder.join("molecules/a.0001.xtc"), [0, 0, 7, 203, 0, 0, 0, 9, 0, 0, 0, 1]).expect("written");

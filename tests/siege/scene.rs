@@ -289,10 +289,12 @@ pub(crate) fn status(folder: &Path) -> Value {
 /// because the command reads the records, and the daemon writes some of them a moment after the log.
 pub(crate) fn assert_status<T: PartialEq + Debug>(folder: &Path, expected: &T, read: impl Fn(&Value) -> T) {
     let deadline = Instant::now() + Duration::from_secs(10);
-    while read(&status(folder)) != *expected && Instant::now() < deadline {
+    let mut found = read(&status(folder));
+    while found != *expected && Instant::now() < deadline {
         thread::sleep(Duration::from_millis(50));
+        found = read(&status(folder));
     }
-    assert_eq!(read(&status(folder)), *expected);
+    assert_eq!(found, *expected);
 }
 
 /// Asserts the state of the daemon according to `meniscus status`.
