@@ -32,7 +32,6 @@ use std::ffi::OsString;
 use std::io;
 use std::process::ExitCode;
 
-use clap::Parser;
 use clap::error::{ContextKind, ErrorKind};
 use meniscus_formats::escaped;
 
@@ -42,7 +41,7 @@ use crate::surface::words::significant;
 pub use machine::give_memory_back;
 pub use quantities::parse_bytes;
 
-use args::{Cli, Command};
+use args::Command;
 use console::Console;
 
 /// The outcome of a command.
@@ -103,7 +102,7 @@ fn printable(error: clap::Error, arguments: &[OsString]) -> clap::Error {
     let escaped = arguments.iter().map(|argument| escaped(argument.to_string_lossy()).to_string());
     // The escaped arguments may parse: then the original error was about bytes that are not UTF-8. Its
     // message does not repeat them, so it can be printed.
-    Cli::try_parse_from(escaped).err().unwrap_or(error)
+    args::parse(escaped).err().unwrap_or(error)
 }
 
 /// Options with which other programs get the radius of the particles.
@@ -134,7 +133,7 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode
 #[doc(hidden)]
 pub fn status_of(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> u8 {
     let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
-    let typed = match Cli::try_parse_from(&arguments) {
+    let typed = match args::parse(&arguments) {
         Ok(typed) => typed,
         Err(help_or_error) => {
             let help_or_error = printable(help_or_error, &arguments);

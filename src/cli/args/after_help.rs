@@ -15,8 +15,8 @@ Choosing the spacing, the voxel size and how far particles blend:
 
   By default, lengths and the amount (pseudo-time) of smoothing scale with d.
   The voxel size h is 0.32d: half that size shows more detail of the same
-  surface, and takes about four times the time and the memory. On a coarse grid
-  particles are larger, so that none falls between the voxels.
+  surface, and takes about eight times the time and four times the memory. On a
+  coarse grid particles are larger, so that none falls between the voxels.
 
   The surface encloses the (smoothed) position of every particle.
 

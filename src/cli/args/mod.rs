@@ -8,6 +8,7 @@
 
 mod after_help;
 mod option_set;
+mod short_help;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -36,6 +37,7 @@ use after_help::{
     WHERE_COMPLETIONS_GO, WHERE_PAGES_GO,
 };
 pub(super) use option_set::{MethodOptionArgs, OptionSet, option_set};
+pub(super) use short_help::parse;
 
 /// Convert particles into smooth meshes and level sets.
 #[derive(Debug, Parser)]

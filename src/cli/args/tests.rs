@@ -129,3 +129,21 @@ fn lengths_have_units_on_the_command_line() {
         assert!(error.contains(why) && error.contains(words[1]), "{error}");
     }
 }
+
+#[test]
+fn short_help_shows_few_options_and_long_help_all() {
+    let help = |words: &[&str]| parse(words).expect_err("help").to_string();
+    for command in ["convert", "watch"] {
+        let (short, long) = (help(&["meniscus", command, "-h"]), help(&["meniscus", command, "--help"]));
+        assert!(short.lines().count() <= 48 && short.contains("--spacing"), "{short}");
+        assert!(
+            !short.contains("--redistance-every") && long.contains("--redistance-every"),
+            "{short}{long}"
+        );
+    }
+    let all = [help(&["meniscus", "convert", "-h"]), help(&["meniscus", "watch", "-h"])].concat();
+    for (id, words) in short_help::ORDINARY {
+        assert!(all.contains(&format!("--{} ", id.replace('_', "-"))), "{id}");
+        assert!(words.len() <= 72, "{words}");
+    }
+}
