@@ -73,8 +73,8 @@ impl EmbeddedSurface<'_> {
             let out = &mut Interruptible(out);
             match format.content() {
                 Content::Mesh(writer) => {
-                    let quads = if settings.quads { surface.quads().into() } else { Arc::default() };
-                    let attributes = vertex_attributes(&surface.attributes);
+                    let quads = if settings.quads { surface.mesh.quads().into() } else { Arc::default() };
+                    let attributes = vertex_attributes(&surface.attributes.vertices);
                     writer.write(
                         &mesh_view(&surface.mesh, &attributes),
                         &outputs.mesh(quads),

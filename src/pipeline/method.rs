@@ -5,7 +5,7 @@ use std::io;
 use std::path::Path;
 
 use crate::surface::Storage;
-use crate::surface::attributes::needs_unsmoothed;
+use crate::surface::attributes::has_rest;
 use crate::surface::options::Settings;
 use crate::surface::particles::ParticleCloud;
 use crate::surface::reconstruction::{
@@ -155,7 +155,7 @@ pub(crate) fn contour(
     // Particles on disk have no selected attributes.
     let cloud = particles.filter_map(|given| match given {
         FrameInput::InMemory(cloud) if settings.has_attributes() => {
-            unsmoothed = needs_unsmoothed(&cloud.attributes).then(|| cloud.positions.clone());
+            unsmoothed = has_rest(&cloud.attributes).then(|| cloud.positions.clone());
             Some(cloud)
         }
         FrameInput::InMemory(_) | FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => None,

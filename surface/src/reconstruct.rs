@@ -8,7 +8,7 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::attributes::{Seams, add_computed, needs_unsmoothed, wants_computed};
+use crate::attributes::{add_computed, has_rest, wants_computed};
 use crate::cancel::{CancelToken, catch};
 use crate::error::Error;
 use crate::level_set::NarrowBand;
@@ -81,8 +81,6 @@ pub struct Surface {
     /// The particles' attributes at the vertices: those that [`Options::attributes`] selects, in the order of
     /// the input.
     pub attributes: Vec<Attribute>,
-    /// Where the charts of texture coordinates meet; `None` if they do not.
-    pub seams: Option<Seams>,
     /// The particles that are not in the mesh, because their pieces of fluid are smaller than [`Options::spray`]; `None`
     /// without this option. Without frames around, each frame decides alone.
     pub spray: Option<Spray>,
@@ -394,7 +392,7 @@ impl<'a> Reconstructor<'a> {
         if let Some(particles) = particles.filter(|_| settings.has_attributes()) {
             self.begin(Phase::Interpolate);
             let given = &particles.given().positions;
-            let unsmoothed = needs_unsmoothed(&attributes).then(|| OwnedPositions::from(given.clone()));
+            let unsmoothed = has_rest(&attributes).then(|| OwnedPositions::from(given.clone()));
             let (positions, shapes) = particles.into_positions(|given| (given.positions, given.shapes));
             let targets = Targets { vertices: true, band_half_width_voxels };
             let surface = &mut surface;
@@ -648,8 +646,8 @@ fn with_absolute_positions(surface: reconstruction::FrameSurface, settings: Sett
     let reconstruction::FrameSurface { band, mesh, attributes, spray, report, .. } = surface;
     let Mesh { positions, normals, triangles, origin } = mesh;
     let positions = positions.into_par_iter().halved().map(|position| origin + position.as_dvec3()).collect();
-    let reconstruction::SurfaceAttributes { vertices: attributes, seams, .. } = attributes;
-    Surface { positions, normals, triangles, attributes, seams, spray, level_set: band, settings, report }
+    let attributes = attributes.vertices;
+    Surface { positions, normals, triangles, attributes, spray, level_set: band, settings, report }
 }
 
 #[cfg(test)]

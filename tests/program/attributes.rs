@@ -481,68 +481,38 @@ fn axis_may_be_upper_case_and_units_are_written() {
     }
 }
 
-/// Writes a block of particles, of which those with small x are on another chart than the others.
-fn write_frame_with_two_charts(folder: &Path) {
+/// Particles whose texture coordinates jump in the middle of a block.
+#[test]
+fn texture_coordinates_are_means_with_one_value_per_vertex() {
+    let folder = tempdir().expect("a folder");
     let positions: Vec<[f32; 3]> =
         block(8, 0.0).into_iter().map(|position| position.map(|along| along as f32)).collect();
     let middle = positions.iter().map(|[x, ..]| x).sum::<f32>() / positions.len() as f32;
-    let uv = positions.iter().flat_map(|&[x, y, z]| {
-        let [u, v] = if x < middle { [0.1, 0.2] } else { [0.7, 0.6] };
-        [u + 0.1 * y, v + 0.1 * z, 0.5]
-    });
+    let uv = positions.iter().flat_map(|&[x, ..]| [if x < middle { 0.25 } else { 0.75 }, 0.5, 1.0]);
     let attributes = vec![attribute("uv", 3, Values::F32(uv.collect()))];
     let frame = ParticleFrame { positions: FilePositions::F32(positions), attributes, notes: Vec::new() };
     let mut bytes = Vec::new();
     bgeo::write(&frame, &mut bytes).expect("written");
-    fs::write(folder.join("f.bgeo"), bytes).expect("written");
-}
+    fs::write(folder.path().join("f.bgeo"), bytes).expect("written");
+    let typed = ["convert", "f.bgeo", "--format", "obj,glb,vdb", "--attributes", "st", "--out", "o"];
+    let result = meniscus(folder.path(), &typed);
+    assert_eq!(result.status, 0, "{}", result.err);
+    let warnings: Vec<&str> = result.err.lines().filter(|line| line.starts_with("warning")).collect();
+    assert!(matches!(warnings[..], [one] if one.contains("uv is not in the .vdb")), "{}", result.err);
 
-#[test]
-fn texture_coordinates_are_those_of_one_chart_per_face() {
-    let folder = tempdir().expect("a folder");
-    write_frame_with_two_charts(folder.path());
-    let typed =
-        ["convert", "f.bgeo", "--format", "obj,usdc,glb,vdb", "--attributes", "uv", "--quads", "--out"];
-    for (out, threads) in [("one", "1"), ("two", "2")] {
-        let result = meniscus(folder.path(), &[&typed[..], &[out, "--threads", threads]].concat());
-        assert_eq!(result.status, 0, "{}", result.err);
-        let warnings: Vec<&str> = result.err.lines().filter(|line| line.starts_with("warning")).collect();
-        assert!(matches!(warnings[..], [one] if one.contains("uv is not in the .vdb")), "{}", result.err);
-    }
-    let read = |out: &str, format: &str| {
-        fs::read(folder.path().join(out).join(format!("f.{format}"))).expect("written")
-    };
-    for format in ["obj", "usdc", "glb"] {
-        assert!(read("one", format) == read("two", format), "{format} depends on threads");
-    }
+    let text = fs::read_to_string(folder.path().join("o/f.obj")).expect("written");
+    let rows = text.lines().filter_map(|line| line.strip_prefix("vt "));
+    let rows: Vec<Vec<f32>> =
+        rows.map(|row| row.split(' ').map(|number| number.parse().expect("a number")).collect()).collect();
+    assert_eq!(rows.len(), text.lines().filter(|line| line.starts_with("v ")).count());
+    assert!(rows.iter().all(|row| row.len() == 2 && (0.25..=0.75).contains(&row[0]) && row[1] == 0.5));
+    let blended = rows.iter().filter(|row| (0.3..0.7).contains(&row[0])).count();
+    assert!(0 < blended && blended < rows.len() / 2, "{blended} of {}", rows.len());
 
-    let text = String::from_utf8(read("one", "obj")).expect("text");
-    let words = |keyword: &'static str| {
-        text.lines()
-            .filter_map(move |line| line.strip_prefix(keyword)?.strip_prefix(' '))
-            .map(|rest| rest.split(' '))
-    };
-    let rows: Vec<Vec<f64>> =
-        words("vt").map(|row| row.map(|number| number.parse().expect("a number")).collect()).collect();
-    assert!(rows.iter().all(|row| row.len() == 2), "the third number is left out");
-    let (mut counts, mut quads) = ([0, 0], 0);
-    for face in words("f") {
-        let is_second: Vec<bool> = face
-            .map(|corner| {
-                let row: usize = corner.split('/').nth(1).expect("a row").parse().expect("a number");
-                rows[row - 1][0] > 0.5
-            })
-            .collect();
-        assert!(is_second.iter().all(|is| *is == is_second[0]), "a face has both charts");
-        counts[usize::from(is_second[0])] += 1;
-        quads += usize::from(is_second.len() == 4);
-    }
-    assert!(counts.iter().all(|count| *count > 100) && quads > 100, "{counts:?} {quads}");
-    let vertices = words("v").count();
-    assert!(rows.len() > vertices, "{} rows, {vertices} vertices", rows.len());
-    // The vertices of a .glb are split there.
-    let split = gltf::read_mesh(&read("one", "glb"), &Limits::default()).expect("our own file");
-    assert_eq!(split.positions.len(), rows.len());
+    let glb = fs::read(folder.path().join("o/f.glb")).expect("written");
+    let attributes = gltf::read_attributes(&glb, &Limits::default()).expect("our own file");
+    let [uv] = &attributes[..] else { panic!("{attributes:?}") };
+    assert_eq!((&*uv.name, &uv.values), ("TEXCOORD_0", &Values::F32(rows.concat())));
 }
 
 #[test]

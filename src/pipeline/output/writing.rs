@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use meniscus_formats::{
-    AttributeRole, BandGrid, Content, LeafValues, LevelSetView, MeshEncoder, MeshView, Provenance, SeamsView,
+    AttributeRole, BandGrid, Content, LeafValues, LevelSetView, MeshEncoder, MeshView, Provenance,
     VertexAttribute, VertexValues, vdb,
 };
 
@@ -16,7 +16,7 @@ use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::Mesh;
 use crate::surface::options::Settings;
 use crate::surface::particles::{Attribute, AttributeValues, Role};
-use crate::surface::reconstruction::{FrameSurface, SurfaceAttributes};
+use crate::surface::reconstruction::FrameSurface;
 use crate::surface::space::Lattice;
 
 use crate::pipeline::diagnostics::diagnose;
@@ -100,9 +100,9 @@ pub(crate) fn write_surface_as<'env>(
         }
         Content::Mesh(writer) => writer,
     };
-    let quads = if frame.settings.quads { surface.quads().into() } else { Arc::default() };
+    let quads = if frame.settings.quads { surface.mesh.quads().into() } else { Arc::default() };
     let options = frame.outputs.mesh(quads);
-    let attributes = vertex_attributes(&surface.attributes);
+    let attributes = vertex_attributes(&surface.attributes.vertices);
     let mesh = mesh_view(&surface.mesh, &attributes);
     let MeshEncoder::Batches { count, encode } = writer.encoder else {
         return writer.write(&mesh, &options, &provenance, out);
@@ -110,7 +110,7 @@ pub(crate) fn write_surface_as<'env>(
     for index in 0..count(&mesh, &options) {
         let (surface, options, provenance) = (Arc::clone(surface), options.clone(), provenance.clone());
         let encode = move || {
-            let attributes = vertex_attributes(&surface.attributes);
+            let attributes = vertex_attributes(&surface.attributes.vertices);
             encode(&mesh_view(&surface.mesh, &attributes), &options, &provenance, index)
         };
         for text in scheduler.run(order, encode)? {
@@ -203,23 +203,19 @@ fn leaf_origins(band: &NarrowBand) -> Vec<[i32; 3]> {
 }
 
 /// The attributes of a mesh's vertices in the form that the writers of the formats take.
-pub fn vertex_attributes<'a>(attributes: &'a SurfaceAttributes) -> Vec<VertexAttribute<'a>> {
-    let seams_of = |index: usize| {
-        let found = attributes.seams.as_ref().filter(|seams| seams.attribute == index);
-        found.map(|seams| SeamsView { values: &seams.values, triangles: &seams.triangles })
-    };
-    let view = |(index, attribute): (usize, &'a Attribute)| VertexAttribute {
+pub fn vertex_attributes<'a>(attributes: &'a [Attribute]) -> Vec<VertexAttribute<'a>> {
+    let view = |attribute: &'a Attribute| VertexAttribute {
         name: &attribute.name,
         role: file_role(attribute.role),
         arity: attribute.arity,
-        seams: seams_of(index),
+        seams: None,
         values: match &attribute.values {
             AttributeValues::Numbers(values) => VertexValues::Numbers(values),
             AttributeValues::Integers(values) => VertexValues::Integers(values),
             AttributeValues::Strings { table, indices } => VertexValues::Strings { table, indices },
         },
     };
-    attributes.vertices.iter().enumerate().map(view).collect()
+    attributes.iter().map(view).collect()
 }
 
 /// An attribute at the voxels of the band.
@@ -264,7 +260,7 @@ pub(crate) fn surface_warnings(
 
 /// Warnings about attributes that the files cannot hold exactly.
 pub(crate) fn output_warnings(surface: &FrameSurface, outputs: &OutputOptions) -> Vec<Warning> {
-    let vertices = vertex_attributes(&surface.attributes);
+    let vertices = vertex_attributes(&surface.attributes.vertices);
     let mut warnings: Vec<Warning> = Vec::new();
     for mesh in written(outputs).filter_map(OutputFormat::mesh) {
         for warning in (mesh.attribute_notes)(&vertices).into_iter().map(Warning::Sentence) {

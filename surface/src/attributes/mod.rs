@@ -20,20 +20,17 @@
 //! is counted.
 //!
 //! **Rest coordinates** are positions in an earlier frame. Their mean belongs to the mean of the particles' positions,
-//! which is about half a spacing deeper in the fluid than the vertex: see `rest`. **Texture coordinates** of different
-//! charts have no mean: see `charts`.
+//! which is about half a spacing deeper in the fluid than the vertex: see `rest`.
 //!
 //! **Band.** Volume renderers need values in a band around the surface that is several voxels wide. Outside
 //! the fluid, a voxel gets the values at the nearest point on the surface, because a point far from all
 //! particles has no values of its own. The mean has no voxel-sized detail, so it is computed for every second
 //! voxel along each axis, and the voxels in between are interpolated.
 //!
-//! Invariants: values depend only on the particles within the radius, or on those that reach the point; texture
-//! coordinates, on those within three radii of the vertices of a triangle.
+//! Invariants: values depend only on the particles within the radius, or on those that reach the point.
 //! Changes farther away, and the number of threads, leave the values bit-identical, however large the other
 //! particles are.
 
-mod charts;
 mod computed;
 mod interpolate;
 mod rest;
@@ -58,16 +55,10 @@ use interpolate::{
     node_points,
 };
 
-use charts::fit_charts;
 use rest::fit_rest;
 
-pub use charts::Seams;
 pub use computed::{ComputedAttribute, add_computed, wants_computed};
-
-/// Whether particles have coordinates that are fitted to their positions before smoothing: rest or texture coordinates.
-pub fn needs_unsmoothed(attributes: &[Attribute]) -> bool {
-    attributes.iter().any(|attribute| matches!(attribute.role, Role::Rest | Role::TextureCoordinates))
-}
+pub use rest::has_rest;
 
 /// The radius R of the weighted mean with these settings, world units.
 pub fn radius_world(settings: &Settings) -> f64 {
@@ -90,7 +81,7 @@ pub struct Support<'a> {
     pub margin_world: f64,
     /// The shapes of the particles: one per particle, unless they are balls.
     pub shapes: &'a Shapes,
-    /// The positions of the particles before they were smoothed, if their attributes [need](needs_unsmoothed) them.
+    /// The positions of the particles before they were smoothed, if they have rest coordinates.
     pub unsmoothed: Option<&'a OwnedPositions>,
 }
 
@@ -122,7 +113,7 @@ pub struct TransferCounts {
     pub ignored_value_count: usize,
 }
 
-/// The attributes of a mesh's vertices, in the order of the particles' attributes, and the seams of texture coordinates.
+/// The attributes of a mesh's vertices, in the order of the particles' attributes.
 ///
 /// Panics if an attribute does not have `arity` values per particle, or if `support` has too few
 /// shapes for them.
@@ -131,7 +122,7 @@ pub fn interpolate_to_vertices<'a>(
     attributes: &[&'a Attribute],
     mesh: &Mesh,
     support: Support<'a>,
-) -> (Vec<Attribute>, Option<Seams>, TransferCounts) {
+) -> (Vec<Attribute>, TransferCounts) {
     let point_of = |vertex: usize| mesh.origin + mesh.positions[vertex].as_dvec3();
     let source = TransferSource::new(
         particles.into(),
@@ -141,7 +132,6 @@ pub fn interpolate_to_vertices<'a>(
     );
     let (mut interpolated, counts) = interpolate_at(&source, mesh.positions.len(), &point_of);
     fit_rest(&source, &mut interpolated, &point_of);
-    let seams = fit_charts(&source, &mut interpolated, mesh, &point_of);
     let mut numbers = interpolated.numbers.into_iter();
     let mut values_of = |attribute: &Attribute| match &attribute.values {
         AttributeValues::Numbers(_) => AttributeValues::Numbers(numbers.next().unwrap_or_default()),
@@ -159,7 +149,7 @@ pub fn interpolate_to_vertices<'a>(
         arity: attribute.arity,
         values: values_of(attribute),
     });
-    (transferred.collect(), seams, counts)
+    (transferred.collect(), counts)
 }
 
 /// Index of a missing particle.
@@ -278,11 +268,6 @@ impl<'a> TransferSource<'a> {
             numbers,
             ignored_value_count,
         }
-    }
-
-    /// The positions of the particles before they were smoothed, which moves no fluid.
-    fn unsmoothed(&self) -> Positions<'_> {
-        self.support.unsmoothed.map_or_else(|| self.particles.borrowed(), Positions::from)
     }
 
     /// Converts an index among the near particles to the index among all particles.

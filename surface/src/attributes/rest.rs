@@ -18,7 +18,12 @@ use super::{CHUNK, TransferSource, numbers_of, subset};
 use crate::cancel::checkpoint;
 use crate::neighbors::Neighbors;
 use crate::parallel::Loops as _;
-use crate::particles::{Attribute, OwnedPositions, Role};
+use crate::particles::{Attribute, OwnedPositions, Positions, Role};
+
+/// Whether particles have rest coordinates.
+pub fn has_rest(attributes: &[Attribute]) -> bool {
+    attributes.iter().any(is_rest)
+}
 
 fn is_rest(attribute: &Attribute) -> bool {
     attribute.role == Role::Rest && attribute.arity == 3
@@ -36,7 +41,8 @@ pub(super) fn fit_rest(
     if rest.is_empty() {
         return;
     }
-    let positions = source.unsmoothed();
+    let positions: Positions =
+        source.support.unsmoothed.map_or_else(|| source.particles.borrowed(), Positions::from);
     let count = interpolated.nearest.len();
     let radius = source.support.radius_world;
     let indices = near_particles(&positions, radius, (count, point_of));
@@ -69,41 +75,29 @@ fn way_at(
     point: DVec3,
     way: &impl Fn(u32) -> DVec3,
 ) -> Option<DVec3> {
-    let mut sums = WaySums::NONE;
-    visit_near(neighbors, positions, point, |particle, weight, offset| {
-        let way = way(particle);
-        if way.is_finite() {
-            sums.add(weight, offset, way);
-        }
-    });
-    sums.at_point()
-}
-
-/// Visits the particles within the radius of a point: with their weights, and their offsets from the point in units of
-/// the radius. The radius is the edge of the neighbors' cells.
-pub(super) fn visit_near(
-    neighbors: &Neighbors,
-    positions: &OwnedPositions,
-    point: DVec3,
-    mut visit: impl FnMut(u32, f64, DVec3),
-) {
-    let Some((cell, _)) = neighbors.locate(point) else { return };
+    let (cell, _) = neighbors.locate(point)?;
     let radius = neighbors.edge_world();
+    let mut sums = WaySums::NONE;
     for run in neighbors.runs(cell) {
         let (slots, multiplicity) = run.sampled();
         for slot in slots {
             let particle = neighbors.indices()[slot];
             let offset = (positions.position(particle as usize) - point) / radius;
             let nearness = 1.0 - offset.length_squared();
-            if nearness > 0.0 {
-                visit(particle, multiplicity * nearness * nearness * nearness, offset);
+            if nearness <= 0.0 {
+                continue;
+            }
+            let way = way(particle);
+            if way.is_finite() {
+                sums.add(multiplicity * nearness * nearness * nearness, offset, way);
             }
         }
     }
+    sums.at_point()
 }
 
 /// Weighted sums over particles: of their offsets from a point, and of their ways.
-pub(super) struct WaySums {
+struct WaySums {
     weight: f64,
     offset: DVec3,
     way: DVec3,
@@ -116,7 +110,7 @@ pub(super) struct WaySums {
 
 impl WaySums {
     /// Those of no particles. The default of a matrix would be the identity.
-    pub(super) const NONE: WaySums = WaySums {
+    const NONE: WaySums = WaySums {
         weight: 0.0,
         offset: DVec3::ZERO,
         way: DVec3::ZERO,
@@ -125,7 +119,7 @@ impl WaySums {
         range: None,
     };
 
-    pub(super) fn add(&mut self, weight: f64, offset: DVec3, way: DVec3) {
+    fn add(&mut self, weight: f64, offset: DVec3, way: DVec3) {
         let weighted = weight * offset;
         self.weight += weight;
         self.offset += weighted;
@@ -136,7 +130,7 @@ impl WaySums {
     }
 
     /// The value of the fit at the point.
-    pub(super) fn at_point(self) -> Option<DVec3> {
+    fn at_point(self) -> Option<DVec3> {
         let WaySums { weight, offset, way, of_offsets, of_ways, range } = self;
         let [least, most] = range.filter(|_| weight > 0.0)?;
         let (middle, mean) = (offset / weight, way / weight);

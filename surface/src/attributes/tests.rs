@@ -26,8 +26,7 @@ fn transferred_to_vertices(
     support: Support,
 ) -> (Vec<Attribute>, TransferCounts) {
     let attributes: Vec<&Attribute> = attributes.iter().collect();
-    let (found, _, counts) = to_vertices_of(particles, &attributes, mesh, support);
-    (found, counts)
+    to_vertices_of(particles, &attributes, mesh, support)
 }
 
 fn random(state: &mut u32) -> f64 {

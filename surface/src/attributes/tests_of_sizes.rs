@@ -76,7 +76,7 @@ impl Sizes {
         let attributes = attributes.map(attribute);
         let shapes = Shapes::Scaled(self.scales.clone());
         let particles = OwnedPositions::F64(self.positions.clone());
-        let (found, _, counts) =
+        let (found, counts) =
             interpolate_to_vertices(&particles, &attributes.each_ref()[..], mesh, support(&shapes));
         let [AttributeValues::Numbers(numbers), AttributeValues::Integers(ids)] =
             [&found[0].values, &found[1].values]

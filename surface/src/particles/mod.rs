@@ -468,8 +468,7 @@ pub enum Role {
     Id,
     /// A position in another frame, in world units, arity 3.
     Rest,
-    /// A place in a picture, arity 2 or 3, of which the third is not used. The places of particles near each other may be
-    /// on different charts: see [`Seams`](crate::attributes::Seams).
+    /// A place in a picture, arity 2 or 3, of which the third is not used.
     TextureCoordinates,
     /// Anything else.
     Other,

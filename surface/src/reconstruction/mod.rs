@@ -26,12 +26,11 @@ pub use spray::ApartParticles;
 pub use staged::{StageError, StagedFrame, TileStorage};
 
 use crate::attributes::{
-    BandAttribute, ComputedAttribute, Seams, Support, interpolate_to_band, interpolate_to_vertices,
-    radius_world,
+    BandAttribute, ComputedAttribute, Support, interpolate_to_band, interpolate_to_vertices, radius_world,
 };
 use crate::grid::Leaf;
 use crate::level_set::{NarrowBand, offset_reach_voxels};
-use crate::mesh::{Mesh, PositionRounding, are_halves};
+use crate::mesh::{Mesh, PositionRounding};
 use crate::obstacle::Obstacles;
 use crate::options::{Settings, Start};
 use crate::particles::{
@@ -68,18 +67,6 @@ impl FrameSurface {
         self.report.spray = spray.as_ref().map(Spray::counts);
         self.spray = spray;
         self
-    }
-
-    /// For each triangle, true if it and the next one are the halves of a [quad](Mesh::quads) and have the same chart of
-    /// texture coordinates.
-    pub fn quads(&self) -> Vec<bool> {
-        let mut quads = self.mesh.quads();
-        if let Some(Seams { triangles, .. }) = &self.attributes.seams {
-            for (quad, pair) in quads.iter_mut().zip(triangles.windows(2)) {
-                *quad &= are_halves(pair[0], pair[1]);
-            }
-        }
-        quads
     }
 
     /// Memory used, in bytes.
@@ -259,8 +246,6 @@ const TOPOLOGY_LEAF_BYTES: usize = 80;
 pub struct SurfaceAttributes {
     /// Attributes of the mesh's vertices.
     pub vertices: Vec<Attribute>,
-    /// Where the charts of texture coordinates meet; `None` if they do not.
-    pub seams: Option<Seams>,
     /// Attributes at the voxels of the band, limited to those a grid can store: a scalar or a 3-vector.
     pub band: Vec<BandAttribute>,
 }
@@ -284,8 +269,7 @@ impl SurfaceAttributes {
     /// Memory that the attributes use, in bytes.
     pub fn size_bytes(&self) -> usize {
         let vertices: usize = self.vertices.iter().map(|attribute| attribute.values.size_bytes()).sum();
-        let seams = self.seams.as_ref().map_or(0, Seams::size_bytes);
-        vertices + seams + self.band.iter().map(BandAttribute::size_bytes).sum::<usize>()
+        vertices + self.band.iter().map(BandAttribute::size_bytes).sum::<usize>()
     }
 
     /// Upper limit of the additional memory while grids are compressed, in bytes.
@@ -304,7 +288,7 @@ pub struct Targets {
 }
 
 /// Transfers the attributes selected in the settings from particles to the surface. `unsmoothed` are their positions before
-/// smoothing, if the attributes [need](crate::attributes::needs_unsmoothed) them.
+/// smoothing, which rest coordinates need.
 pub fn transfer_attributes(
     surface: &mut FrameSurface,
     (positions, unsmoothed): (Positions<'_>, Option<&OwnedPositions>),
@@ -331,9 +315,9 @@ pub fn transfer_attributes(
         ..TransferReport::default()
     };
     if targets.vertices {
-        let (vertices, seams, counts) =
+        let (vertices, counts) =
             interpolate_to_vertices(positions.borrowed(), &selected, &surface.mesh, support);
-        (surface.attributes.vertices, surface.attributes.seams, report.vertices) = (vertices, seams, counts);
+        (surface.attributes.vertices, report.vertices) = (vertices, counts);
         if has_curvature {
             surface.attributes.vertices.push(curvature.with_values(surface.mesh.curvatures()));
         }
