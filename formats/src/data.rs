@@ -7,7 +7,6 @@ use std::fmt;
 
 use crate::error::{Error, Position, Result};
 use crate::number::{of_any_type, wide};
-use crate::vertex_attributes::{Purpose, purposes};
 
 /// Particle positions, in the precision of the file.
 #[derive(Clone, Debug, PartialEq)]
@@ -211,7 +210,7 @@ impl FileAttribute {
             Values::Strings { table, indices } => VertexValues::Strings { table, indices },
             Values::F64(_) | Values::U8(_) | Values::I32(_) => return None,
         };
-        Some(VertexAttribute { name, role: *role, arity: *arity, values, seams: None })
+        Some(VertexAttribute { name, role: *role, arity: *arity, values })
     }
 
     /// Keeps the values of the particles for which `mask` is true.
@@ -319,15 +318,7 @@ impl MeshView<'_> {
         if !self.origin.iter().all(|c| c.is_finite()) {
             return invalid(format!("the origin {:?} is not finite", self.origin));
         }
-        for (attribute, purpose) in self.attributes.iter().zip(purposes(self.attributes)) {
-            attribute.check(vertices, format)?;
-            let matches =
-                |seams: SeamsView| purpose == Purpose::Texture && seams.match_mesh(self.triangles, vertices);
-            if !attribute.seams.is_none_or(matches) {
-                return invalid(format!("the seams of attribute {} do not match the mesh", attribute.name));
-            }
-        }
-        Ok(())
+        self.attributes.iter().try_for_each(|attribute| attribute.check(vertices, format))
     }
 }
 
@@ -342,18 +333,6 @@ pub struct VertexAttribute<'a> {
     pub arity: usize,
     /// `arity` values per vertex, vertex by vertex.
     pub values: VertexValues<'a>,
-    /// For [texture coordinates](AttributeRole::TextureCoordinates), the values at corners of triangles that differ from
-    /// those of their vertices; `None` without such corners.
-    pub seams: Option<SeamsView<'a>>,
-}
-
-/// Texture coordinates of the corners of triangles: a vertex at a seam has other values in some of its triangles.
-#[derive(Clone, Copy, Debug)]
-pub struct SeamsView<'a> {
-    /// Two finite numbers per row: first the rows of the vertices, then others, each of which belongs to one vertex.
-    pub values: &'a [[f32; 2]],
-    /// For each triangle of the mesh, the rows of its corners.
-    pub triangles: &'a [[u32; 3]],
 }
 
 /// The values of a vertex attribute.
@@ -393,25 +372,6 @@ impl<'a> VertexAttribute<'a> {
             return invalid(format!("attribute {name} has a value that is not finite"));
         }
         Ok(())
-    }
-}
-
-impl SeamsView<'_> {
-    /// Whether every corner has a row, that of its vertex or one that follows those of the vertices and belongs to no other
-    /// vertex, and all values are finite.
-    fn match_mesh(&self, triangles: &[[u32; 3]], vertex_count: usize) -> bool {
-        let Some(other_count) = self.values.len().checked_sub(vertex_count) else { return false };
-        // The vertex of each of the other rows, once one is known.
-        let mut vertex_of: Vec<Option<u32>> = vec![None; other_count];
-        let mut is_row = |(row, vertex): (&u32, &u32)| match (*row as usize).checked_sub(vertex_count) {
-            None => row == vertex,
-            Some(other) => {
-                vertex_of.get_mut(other).is_some_and(|known| *known.get_or_insert(*vertex) == *vertex)
-            }
-        };
-        self.triangles.len() == triangles.len()
-            && self.triangles.as_flattened().iter().zip(triangles.as_flattened()).all(&mut is_row)
-            && all_finite(self.values.as_flattened())
     }
 }
 

@@ -72,8 +72,8 @@ pub use compression::Codec;
 pub use container::{ContainerFile, OpenFurther, Sample};
 pub use data::{
     AttributeRole, BandGrid, ColorPicture, FileAttribute, FilePositions, LeafValues, LevelSetView, MeshData,
-    MeshView, ParticleFrame, PictureCamera, PictureLayer, PictureView, PixelSamples, Provenance, SeamsView,
-    Values, VertexAttribute, VertexValues,
+    MeshView, ParticleFrame, PictureCamera, PictureLayer, PictureView, PixelSamples, Provenance, Values,
+    VertexAttribute, VertexValues,
 };
 pub use error::{Error, Position, Result};
 pub use integrity::{completeness, is_complete};

@@ -105,7 +105,7 @@ impl NarrowAttribute<'_> {
         };
         // Points have no texture.
         let role = self.role.filter(|role| *role != AttributeRole::TextureCoordinates);
-        VertexAttribute { name: self.name, role, arity: self.arity, values, seams: None }
+        VertexAttribute { name: self.name, role, arity: self.arity, values }
     }
 }
 

@@ -5,16 +5,14 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::data::{MeshData, MeshView, Provenance, VertexAttribute, world};
+use crate::data::{MeshData, MeshView, Provenance, VertexAttribute, VertexValues, world};
 use crate::error::{Error, Position, Result};
 use crate::obj_points;
 use crate::options::{MeshOptions, WriteOption};
 use crate::provenance::{GENERATOR, comments, from_comments};
 use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleReader};
 use crate::text::{NumberWriter, ends_with_line, excerpt};
-use crate::vertex_attributes::{
-    Face, Purpose, check_quads, clamp_note, faces, purposes, quad_count, texture_of,
-};
+use crate::vertex_attributes::{Face, Purpose, check_quads, clamp_note, faces, purposes, quad_count};
 
 /// The format's name in errors.
 pub(crate) const FORMAT: &str = "OBJ";
@@ -42,9 +40,9 @@ pub(crate) static ROW: OutputRow = OutputRow {
 //
 // Numbers are the shortest decimals that parse back to the same value. Lines are formatted in parallel, a
 // range of elements per task, and written in order. The last line is a comment with the element counts,
-// because nothing else in the format distinguishes a complete file from a truncated one. The only attributes that
-// can be stored are texture coordinates, with values of their own at the corners along seams, and the colour. It
-// follows the position, an unofficial extension that most readers support.
+// because nothing else in the format distinguishes a complete file from a truncated one. The only vertex
+// attributes that can be stored are texture coordinates and the colour. It follows the position, an unofficial
+// extension that most readers support.
 //
 //   batch 0: header │ batch 1: v v ‥ v vt ‥ vt vn ‥ vn │ batch 2: vn ‥ vn f ‥ f │ f ‥ f, last line
 //                              └┴ one task each, up to 8192 lines
@@ -79,7 +77,7 @@ fn encode_batch(
 ) -> Result<Vec<Vec<u8>>> {
     let Some(index) = index.checked_sub(1) else {
         mesh.check(FORMAT)?;
-        check_quads(FORMAT, mesh, &options.quads)?;
+        check_quads(FORMAT, mesh.triangles, &options.quads)?;
         let name = options.name.replace(char::is_control, "_");
         let header = format!("# {GENERATOR}\n{}o {name}\n", comments(provenance, "# "));
         return Ok(vec![header.into_bytes()]);
@@ -100,7 +98,7 @@ fn encode_batch(
 
 /// The number of tasks for positions, texture coordinates, normals and triangles.
 fn task_counts(mesh: &MeshView) -> [usize; 4] {
-    let texture = texture_of(mesh).map_or(0, |texture| texture.values.len());
+    let texture = texture_of(mesh).map_or(0, <[_]>::len);
     [mesh.positions.len(), texture, mesh.normals.len(), mesh.triangles.len()]
         .map(|count| count.div_ceil(ELEMENTS_PER_TASK))
 }
@@ -110,13 +108,13 @@ fn text_of(mesh: &MeshView, quads: &[bool], task: usize) -> Vec<u8> {
     let [position_tasks, texture_tasks, normal_tasks, _] = task_counts(mesh);
     let texture = texture_of(mesh);
     if let Some(task) = task.checked_sub(position_tasks + texture_tasks + normal_tasks) {
-        return faces_of(mesh.triangles, texture.map(|texture| texture.triangles), quads, task);
+        return faces_of(mesh.triangles, texture.is_some(), quads, task);
     }
     if let Some(task) = task.checked_sub(position_tasks + texture_tasks) {
         return lines_of(run_of(mesh.normals, task), |line, normal| line.reals("vn", *normal));
     }
     if let (Some(task), Some(texture)) = (task.checked_sub(position_tasks), texture) {
-        return lines_of(run_of(texture.values, task), |line, row| line.reals("vt", *row));
+        return lines_of(run_of(texture, task), |line, row| line.reals("vt", *row));
     }
     let positions = run_of(mesh.positions, task);
     let Some(color) = colors_of(mesh) else {
@@ -134,6 +132,15 @@ fn text_of(mesh: &MeshView, quads: &[bool], task: usize) -> Vec<u8> {
         }
         line.reals("", *color);
     })
+}
+
+/// The texture coordinates of the vertices; `None` without texture coordinates.
+fn texture_of<'a>(mesh: &MeshView<'a>) -> Option<&'a [[f32; 2]]> {
+    let found = purposes(mesh.attributes).into_iter().position(|purpose| purpose == Purpose::Texture)?;
+    match mesh.attributes[found].values {
+        VertexValues::Numbers(values) => Some(values.as_chunks().0),
+        VertexValues::Integers(_) | VertexValues::Strings { .. } => None,
+    }
 }
 
 /// Returns a function that gives red, green and blue of a vertex, clamped to 0 to 1, the only range that
@@ -185,15 +192,10 @@ fn range_of(count: usize, task: usize) -> Range<usize> {
     start..(start + ELEMENTS_PER_TASK).min(count)
 }
 
-/// The face lines of one task, including quads. `texture` has the rows of the corners of each triangle, if any.
-fn faces_of(triangles: &[[u32; 3]], texture: Option<&[[u32; 3]]>, quads: &[bool], task: usize) -> Vec<u8> {
-    let range = range_of(triangles.len(), task);
-    let of_vertices = faces(triangles, quads, range.clone());
-    let Some(texture) = texture else {
-        return lines_of(&of_vertices.collect::<Vec<Face>>(), |line, face| line.face(face.corners(), None));
-    };
-    let both: Vec<(Face, Face)> = of_vertices.zip(faces(texture, quads, range)).collect();
-    lines_of(&both, |line, (face, rows)| line.face(face.corners(), Some(rows.corners())))
+/// The face lines of one task, including quads.
+fn faces_of(triangles: &[[u32; 3]], has_texture: bool, quads: &[bool], task: usize) -> Vec<u8> {
+    let faces: Vec<Face> = faces(triangles, quads, range_of(triangles.len(), task)).collect();
+    lines_of(&faces, |line, face| line.face(face.corners(), has_texture))
 }
 
 impl NumberWriter {
@@ -212,15 +214,15 @@ impl NumberWriter {
         }
     }
 
-    /// Writes a face whose corners have the same index as their normals, and these rows of texture coordinates.
-    fn face(&mut self, corners: &[u32], rows: Option<&[u32]>) {
+    /// Writes a face whose corners have the same index as their normals and their texture coordinates, if any.
+    fn face(&mut self, corners: &[u32], has_texture: bool) {
         self.text.push(b'f');
-        for (corner, &index) in corners.iter().enumerate() {
+        for &index in corners {
             self.text.push(b' ');
             self.integer(u64::from(index) + 1);
             self.text.push(b'/');
-            if let Some(row) = rows.and_then(|rows| rows.get(corner)) {
-                self.integer(u64::from(*row) + 1);
+            if has_texture {
+                self.integer(u64::from(index) + 1);
             }
             self.text.push(b'/');
             self.integer(u64::from(index) + 1);

@@ -11,9 +11,7 @@ use std::collections::HashSet;
 use std::ops::Range;
 
 use crate::columns::radius_scale;
-use crate::data::{
-    AttributeRole, FileAttribute, MeshView, ParticleFrame, SeamsView, Values, VertexAttribute, VertexValues,
-};
+use crate::data::{AttributeRole, FileAttribute, ParticleFrame, Values, VertexAttribute, VertexValues};
 use crate::error::{Error, Position, Result};
 use crate::number::append_bytes;
 
@@ -26,7 +24,7 @@ pub(crate) enum Purpose<'a> {
     Acceleration,
     /// Three or four numbers per vertex; contains these numbers.
     Color(&'a [f32]),
-    /// Two numbers per vertex, or per corner of a triangle.
+    /// Two numbers per vertex.
     Texture,
     /// Any other attribute.
     Other,
@@ -49,19 +47,6 @@ pub(crate) fn purposes<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<Purpose<'a
         found.push(if is_used { Purpose::Other } else { purpose });
     }
     found
-}
-
-/// The texture coordinates of all corners; `None` without texture coordinates.
-pub(crate) fn texture_of<'a>(mesh: &MeshView<'a>) -> Option<SeamsView<'a>> {
-    let found = purposes(mesh.attributes).into_iter().position(|purpose| purpose == Purpose::Texture)?;
-    let VertexAttribute { values, seams, .. } = mesh.attributes[found];
-    match (seams, values) {
-        (Some(seams), _) => Some(seams),
-        (None, VertexValues::Numbers(values)) => {
-            Some(SeamsView { values: values.as_chunks().0, triangles: mesh.triangles })
-        }
-        (None, _) => None,
-    }
 }
 
 /// A note on a colour with values outside 0 to 1, for a file that can only store this range.
@@ -239,55 +224,6 @@ pub(crate) fn written(attribute: &FileAttribute) -> Cow<'_, Values> {
     Cow::Owned(doubled.values)
 }
 
-// Splits vertices at the seams of texture coordinates, for formats with values per vertex only.
-
-/// Passes on the mesh; if it has seams, one with a vertex for each row of theirs. The mesh must have been
-/// [checked](MeshView::check).
-pub(crate) fn split_at_seams<T>(mesh: &MeshView, write: impl FnOnce(&MeshView) -> T) -> T {
-    let vertex_count = mesh.positions.len();
-    let seams = mesh.attributes.iter().find_map(|attribute| attribute.seams);
-    let Some(seams) = seams.filter(|_| vertex_count != 0) else { return write(mesh) };
-    // The vertex of each row. Rows without a corner get the first.
-    let mut vertex_of: Vec<usize> = (0..vertex_count).collect();
-    vertex_of.resize(seams.values.len(), 0);
-    for (row, vertex) in seams.triangles.as_flattened().iter().zip(mesh.triangles.as_flattened()) {
-        vertex_of[*row as usize] = *vertex as usize;
-    }
-    let rows = |values: &[[f32; 3]]| -> Vec<[f32; 3]> { vertex_of.iter().map(|&at| values[at]).collect() };
-    let attributes: Vec<FileAttribute> = mesh
-        .attributes
-        .iter()
-        .map(|&VertexAttribute { name, role, arity, values, seams }| FileAttribute {
-            name: name.to_owned(),
-            arity,
-            role,
-            values: match (seams, values) {
-                (Some(seams), _) => Values::F32(seams.values.as_flattened().to_vec()),
-                (None, VertexValues::Numbers(values)) => Values::F32(rows_of(values, arity, &vertex_of)),
-                (None, VertexValues::Integers(values)) => Values::I64(rows_of(values, arity, &vertex_of)),
-                (None, VertexValues::Strings { table, indices }) => {
-                    Values::Strings { table: table.to_vec(), indices: rows_of(indices, arity, &vertex_of) }
-                }
-            },
-        })
-        .collect();
-    let views: Vec<VertexAttribute> = attributes.iter().filter_map(FileAttribute::view).collect();
-    write(&MeshView {
-        positions: &rows(mesh.positions),
-        normals: &rows(mesh.normals),
-        triangles: seams.triangles,
-        attributes: &views,
-        ..*mesh
-    })
-}
-
-fn rows_of<T: Copy>(values: &[T], arity: usize, vertex_of: &[usize]) -> Vec<T> {
-    vertex_of
-        .iter()
-        .flat_map(|&vertex| values[vertex * arity..(vertex + 1) * arity].iter().copied())
-        .collect()
-}
-
 // Merges pairs of triangles into quads, for formats with polygons.
 //
 //    d ─── c
@@ -332,17 +268,8 @@ pub(crate) fn quad_count(quads: &[bool]) -> usize {
     quads.iter().filter(|&&is_quad| is_quad).count()
 }
 
-/// Fails if two triangles marked as a quad share no edge, or not the texture coordinates along it, or if a triangle belongs
-/// to two quads.
-pub(crate) fn check_quads(format: &'static str, mesh: &MeshView, quads: &[bool]) -> Result<()> {
-    let of_corners = mesh.attributes.iter().filter_map(|attribute| Some(attribute.seams?.triangles));
-    [mesh.triangles]
-        .into_iter()
-        .chain(of_corners)
-        .try_for_each(|triangles| check_halves(format, triangles, quads))
-}
-
-fn check_halves(format: &'static str, triangles: &[[u32; 3]], quads: &[bool]) -> Result<()> {
+/// Fails if two triangles marked as a quad share no edge, or if a triangle belongs to two quads.
+pub(crate) fn check_quads(format: &'static str, triangles: &[[u32; 3]], quads: &[bool]) -> Result<()> {
     let invalid = |what: String| Err(Error::invalid(format, Position::File, what));
     if !quads.is_empty() && quads.len() != triangles.len() {
         return invalid(format!("there are {} quad flags for {} triangles", quads.len(), triangles.len()));

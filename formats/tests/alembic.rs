@@ -41,7 +41,7 @@ fn pyramid() -> Vec<u8> {
     let (small, large) = ([1, 2, 3, 4, -5], [1, 2, 3, 4, i64::MAX]);
     let table = ["a\0b".to_owned(), "ü".to_owned()];
     let (named, reals) = (VertexValues::Strings { table: &table, indices: &[0, 1, 2, -1, 0] }, &*numbers);
-    let attribute = |name, role, arity, values| VertexAttribute { name, role, arity, values, seams: None };
+    let attribute = |name, role, arity, values| VertexAttribute { name, role, arity, values };
     let attributes = [
         attribute("v", Some(AttributeRole::Velocity), 3, VertexValues::Numbers(reals)),
         attribute("Cd", Some(AttributeRole::Color), 3, VertexValues::Numbers(reals)),
@@ -206,7 +206,7 @@ fn table_of_strings_counts_as_much_as_it_takes() {
     let bytes = written(
         [0.0; 3],
         &MeshOptions::default(),
-        &[VertexAttribute { name: "name", role: None, arity: 1, values, seams: None }],
+        &[VertexAttribute { name: "name", role: None, arity: 1, values }],
     );
     assert!(abc::to_glb(&bytes, &Limits::default()).is_ok());
     // Each string is one byte in the file.

@@ -24,10 +24,10 @@ mod particle_write; // particles as .ply and .vtp
 mod pcd; // PCD
 mod ply; // all dialects of PLY
 mod prt; // PRT
-mod seams; // texture coordinates with seams
 mod sequences; // sequences assembled from the .glb files of frames
 mod shared; // files of other programs, if found next to the repository
 mod solids; // narrow-band level sets of solids
+mod texture; // texture coordinates
 mod truncated; // truncated files
 mod usd; // meshes as .usda and .usdc
 mod usd_points; // particles in .usda, .usdc and .usdz

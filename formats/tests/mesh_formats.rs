@@ -81,14 +81,14 @@ pub(crate) fn nothing() -> Mesh {
     Mesh { positions, normals, triangles, quads, heat, velocity, color, ids, names, ..mesh }
 }
 
-/// An attribute with these numbers, and without seams.
+/// An attribute with these numbers.
 pub(crate) fn of_numbers<'a>(
     name: &'a str,
     role: Option<AttributeRole>,
     arity: usize,
     values: &'a [f32],
 ) -> VertexAttribute<'a> {
-    VertexAttribute { name, role, arity, values: VertexValues::Numbers(values), seams: None }
+    VertexAttribute { name, role, arity, values: VertexValues::Numbers(values) }
 }
 
 impl Mesh {
@@ -102,14 +102,12 @@ impl Mesh {
                 role: Some(AttributeRole::Id),
                 arity: 1,
                 values: VertexValues::Integers(&self.ids),
-                seams: None,
             },
             VertexAttribute {
                 name: "2nd",
                 role: None,
                 arity: 1,
                 values: VertexValues::Strings { table: &self.table, indices: &self.names },
-                seams: None,
             },
         ]
     }

@@ -864,9 +864,8 @@ fn accelerations_are_a_property_of_usd_meshes_and_an_attribute_elsewhere() {
 fn strings_missing_in_a_usda_sequence_get_a_note() {
     let table = ["a".to_owned()];
     let values = VertexValues::Strings { table: &table, indices: &[0, 0, -1] };
-    let (text, notes) =
-        usda_of(&triangle(&[VertexAttribute { name: "kind", role: None, arity: 1, values, seams: None }]))
-            .expect("a sequence");
+    let (text, notes) = usda_of(&triangle(&[VertexAttribute { name: "kind", role: None, arity: 1, values }]))
+        .expect("a sequence");
     assert!(!text.contains("primvars:"), "{text}");
     assert!(
         notes.len() == 1 && notes[0].starts_with("_KIND is missing in the sequence: its values are strings"),
@@ -892,7 +891,7 @@ fn vertex_indices_out_of_range_are_an_error() {
     }
     // An attribute with fewer values than vertices.
     let values = VertexValues::Numbers(&[1.0, 2.0, 3.0]);
-    let whole = triangle(&[VertexAttribute { name: "heat", role: None, arity: 1, values, seams: None }]);
+    let whole = triangle(&[VertexAttribute { name: "heat", role: None, arity: 1, values }]);
     let scalar =
         |count: u32| format!("\"componentType\":5126,\"count\":{count},\"type\":\"SCALAR\"").into_bytes();
     let at = whole.windows(scalar(3).len()).position(|window| window == scalar(3)).expect("the accessor");

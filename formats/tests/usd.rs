@@ -205,7 +205,7 @@ fn usdc_attributes_of_every_width_round_trip() {
     let (reals, whole) = ([1, 2, 3, 4, 6].map(numbers), [1, 2, 3, 4, 6].map(integers));
     let counted: Vec<f32> = (0..count).map(|i| i as f32).collect();
     let few: Vec<f32> = (0..count).map(|i| [0.5, -0.0, 1e30][i % 3]).collect();
-    let attribute = |name, arity, values| VertexAttribute { name, role: None, arity, values, seams: None };
+    let attribute = |name, arity, values| VertexAttribute { name, role: None, arity, values };
     let mut attributes = vec![
         attribute("counted", 1, VertexValues::Numbers(&counted)),
         attribute("few", 1, VertexValues::Numbers(&few)),
@@ -321,7 +321,7 @@ fn usdc_with_a_table_beyond_any_file_is_not_complete() {
 fn usdc_notes_strings_with_null_characters() {
     let table = ["a\0b".to_owned()];
     let values = VertexValues::Strings { table: &table, indices: &[0, 0] };
-    let attribute = VertexAttribute { name: "kind", role: None, arity: 1, values, seams: None };
+    let attribute = VertexAttribute { name: "kind", role: None, arity: 1, values };
     let notes = usdc::attribute_notes(&[attribute]);
     assert_eq!(notes, ["kind: the .usdc stores null characters as \\x00"]);
     let table = ["a".to_owned()];

@@ -28,7 +28,7 @@ fn attribute<'a>(
     arity: usize,
     values: VertexValues<'a>,
 ) -> VertexAttribute<'a> {
-    VertexAttribute { name, role, arity, values, seams: None }
+    VertexAttribute { name, role, arity, values }
 }
 
 /// Passes a mesh with these attributes to a writer.

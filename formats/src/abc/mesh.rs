@@ -92,14 +92,8 @@ impl ParamType {
 
     const NORMAL: ParamType = ParamType { pod: Pod::F32, extent: 3, elements: 1, interpretation: "normal" };
 
-    /// The metadata of an attribute with a value per vertex.
+    /// The metadata of an attribute with a value per vertex. The keys are sorted.
     pub(super) fn metadata(&self) -> String {
-        self.metadata_in("vtx")
-    }
-
-    /// The metadata of an attribute with values for what a scope of Alembic says: `vtx` for vertices, `fvr` for the corners
-    /// of faces. The keys are sorted.
-    pub(super) fn metadata_in(&self, scope: &str) -> String {
         let ParamType { pod, extent, elements, interpretation } = self;
         let meaning = match *interpretation {
             "" => String::new(),
@@ -117,7 +111,7 @@ impl ParamType {
             Pod::String => "string",
         };
         format!(
-            "arrayExtent={elements};geoScope={scope};{meaning}isGeomParam=true;podExtent={extent};podName={pod}"
+            "arrayExtent={elements};geoScope=vtx;{meaning}isGeomParam=true;podExtent={extent};podName={pod}"
         )
     }
 

@@ -29,13 +29,12 @@ pub use read::{read_mesh, read_sample, read_sequence_info, read_times};
 
 use crate::columns::role_of;
 use crate::data::{
-    AttributeRole, FileAttribute, MeshView, ParticleFrame, Provenance, SeamsView, Values, VertexAttribute,
-    VertexValues,
+    AttributeRole, FileAttribute, MeshView, ParticleFrame, Provenance, Values, VertexAttribute, VertexValues,
 };
 use crate::error::{Error, Position, Result};
 use crate::gltf::{
-    COLOR, NORMAL, POSITION, PlacedMesh, PlacedSeams, SequenceFrame, SequencePlacement, SharedAttribute,
-    TEXTURE, VELOCITY, shared_attributes,
+    COLOR, NORMAL, POSITION, PlacedMesh, SequenceFrame, SequencePlacement, SharedAttribute, TEXTURE,
+    VELOCITY, shared_attributes,
 };
 use crate::limits::Limits;
 use crate::matrix::Matrix;
@@ -47,16 +46,14 @@ use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputR
 use crate::sequence::{check_numbers, held_times};
 use crate::sequence_points::SequencePoints;
 use crate::vertex_attributes::{
-    Purpose, UsedNames, check_quads, faces, plain_name, purposes, quad_count, string_index, texture_of,
+    Purpose, UsedNames, check_quads, faces, plain_name, purposes, quad_count, string_index,
 };
 use document::{AbcObject, AbcProperty, MAGIC, Ogawa, Pod, StoredSample, Times, write_archive};
 use mesh::{
     FrameSamples, MeshSamples, POINTS, ParamType, PointSamples, SEQUENCE_POINTS, bounds, bounds_sample,
     names, points_object, real_sample, to_world, triangle_samples,
 };
-use read::{
-    SampledMesh, bytes_declared, check_single_frame, own_head, own_mesh, read_provenance, rows_of_corners,
-};
+use read::{SampledMesh, bytes_declared, check_single_frame, own_head, own_mesh, read_provenance};
 use scene::{Geometry, Scene};
 
 /// The format's name in errors.
@@ -99,7 +96,7 @@ pub fn write(
     out: &mut dyn Write,
 ) -> Result<()> {
     mesh.check(FORMAT)?;
-    check_quads(FORMAT, mesh, &options.quads)?;
+    check_quads(FORMAT, mesh.triangles, &options.quads)?;
     check_vertex_count(mesh.positions.len() as u64)?;
     let names = names_of(mesh.attributes);
     let objects = |ogawa: &mut Ogawa| Ok(vec![object(mesh, options, &names, ogawa)?]);
@@ -144,7 +141,10 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
 
 fn object(mesh: &MeshView, options: &MeshOptions, names: &[String], ogawa: &mut Ogawa) -> Result<AbcObject> {
     let vertices = mesh.positions.len() as u64;
-    let faces = face_samples(mesh.triangles, &options.quads, ogawa)?;
+    let faces = match quad_count(&options.quads) {
+        0 => triangle_samples(mesh.triangles, mesh.triangles.len() as u64, ogawa)?,
+        quad_count => polygon_samples(mesh.triangles, &options.quads, quad_count, ogawa)?,
+    };
     let mut frame = FrameSamples {
         bounds: bounds_sample(bounds(mesh.positions), ogawa)?,
         positions: real_sample(mesh.positions.as_flattened(), (vertices, 3), ogawa)?,
@@ -152,39 +152,12 @@ fn object(mesh: &MeshView, options: &MeshOptions, names: &[String], ogawa: &mut 
         normals: real_sample(mesh.normals.as_flattened(), (vertices, 3), ogawa)?,
         velocities: None,
     };
-    let params;
+    let (texture, params);
     let are_wide = are_wide(mesh.attributes);
-    (frame.velocities, params) = attribute_samples(mesh.attributes, names, &are_wide, ogawa)?;
-    let texture =
-        texture_of(mesh).map(|texture| texture_property(texture, &options.quads, ogawa)).transpose()?;
+    (frame.velocities, texture, params) = attribute_samples(mesh.attributes, names, &are_wide, ogawa)?;
     let mut samples = MeshSamples::at(to_world(options.up, mesh.origin));
     samples.push(frame);
     samples.object(texture, params, ogawa)
-}
-
-/// The texture coordinates: distinct values, and the index of each corner of a face.
-fn texture_property(
-    SeamsView { values, triangles }: SeamsView,
-    quads: &[bool],
-    ogawa: &mut Ogawa,
-) -> Result<AbcProperty> {
-    let kind = ParamType::numbers(2);
-    let metadata = kind.metadata_in("fvr");
-    let values = real_sample(values.as_flattened(), (values.len() as u64, 2), ogawa)?;
-    let [indices, _] = face_samples(triangles, quads, ogawa)?;
-    let parts = vec![
-        AbcProperty::array(".vals", &metadata, (kind.pod, kind.extent), vec![values]),
-        AbcProperty::array(".indices", "", (Pod::U32, 1), vec![indices]),
-    ];
-    Ok(AbcProperty::compound(names::TEXTURE, &metadata, parts))
-}
-
-/// Writes the vertex indices of faces, in Alembic's order, and the number of corners of each.
-fn face_samples(triangles: &[[u32; 3]], quads: &[bool], ogawa: &mut Ogawa) -> Result<[StoredSample; 2]> {
-    match quad_count(quads) {
-        0 => triangle_samples(triangles, triangles.len() as u64, ogawa),
-        quad_count => polygon_samples(triangles, quads, quad_count, ogawa),
-    }
 }
 
 /// For each attribute, whether it has integers that need 64 bits.
@@ -196,14 +169,14 @@ fn are_wide(attributes: &[VertexAttribute]) -> Vec<bool> {
     attributes.iter().map(is_wide).collect()
 }
 
-/// The velocities, and the other attributes under these names.
+/// The velocities, the texture coordinates, and the other attributes under these names.
 fn attribute_samples(
     attributes: &[VertexAttribute],
     names: &[String],
     are_wide: &[bool],
     ogawa: &mut Ogawa,
-) -> Result<(Option<StoredSample>, Vec<AbcProperty>)> {
-    let (mut velocities, mut params) = (None, Vec::new());
+) -> Result<(Option<StoredSample>, Option<AbcProperty>, Vec<AbcProperty>)> {
+    let (mut velocities, mut texture, mut params) = (None, None, Vec::new());
     for (((attribute, purpose), name), is_wide) in
         attributes.iter().zip(purposes(attributes)).zip(names).zip(are_wide)
     {
@@ -211,7 +184,9 @@ fn attribute_samples(
             (Purpose::Velocity, VertexValues::Numbers(values)) => {
                 velocities = Some(real_sample(values, (values.len() as u64 / 3, 3), ogawa)?);
             }
-            (Purpose::Texture, _) => {}
+            (Purpose::Texture, VertexValues::Numbers(values)) => {
+                texture = Some(reals(names::TEXTURE, ParamType::numbers(2), values, ogawa)?);
+            }
             (Purpose::Color(values), _) => {
                 params.push(reals(name, ParamType::color(attribute.arity), values, ogawa)?);
             }
@@ -226,7 +201,7 @@ fn attribute_samples(
             }
         }
     }
-    Ok((velocities, params))
+    Ok((velocities, texture, params))
 }
 
 // Writes points. Ids, velocities and widths have properties of their own in the schema, which requires ids: without
@@ -270,7 +245,7 @@ fn point_geometry(
         None => write_pieces(&(0..count).collect::<Vec<u64>>(), u64::to_le_bytes, out),
     })?;
     let widths = points.widths.as_ref().map(|widths| real_sample(widths, (count, 1), ogawa)).transpose()?;
-    let (velocities, params) = attribute_samples(&points.others(), names, are_wide, ogawa)?;
+    let (velocities, _, params) = attribute_samples(&points.others(), names, are_wide, ogawa)?;
     Ok(PointSamples { bounds, positions, ids, velocities, widths }.properties(params))
 }
 
@@ -561,7 +536,7 @@ impl AbcAttribute {
         self.semantic == VELOCITY && self.kind == ParamType::numbers(3)
     }
 
-    /// Whether it has texture coordinates. The vertices are split at seams, as in the frames.
+    /// Whether it has texture coordinates.
     fn is_texture(&self) -> bool {
         self.semantic == TEXTURE && self.kind == ParamType::numbers(2)
     }
@@ -616,21 +591,12 @@ pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(V
         return Err(Error::invalid(FORMAT, Position::File, NOT_OURS));
     }
     let (up, origin) = placement(&scene.world(mesh, None)?)?;
-    let mut attributes = frame_attributes(&scene, mesh, positions.len())?;
-    let mut seams = None;
-    if let Some((mut texture, corners)) = frame_texture(&scene, mesh)? {
-        seams = PlacedSeams::of(&mut texture, positions.len(), &triangles, corners);
-        attributes.push(texture);
-    }
+    let attributes = frame_attributes(&scene, mesh, positions.len())?;
     let provenance = own_head(&bytes).unwrap_or_default();
     drop(scene);
     drop(bytes);
     let [positions, normals] = [positions, normals].map(Vec::into_flattened);
-    PlacedMesh { positions, normals, triangles, origin, attributes, seams }.to_glb(
-        up,
-        &provenance,
-        byte_count,
-    )
+    PlacedMesh { positions, normals, triangles, origin, attributes }.to_glb(up, &provenance, byte_count)
 }
 
 /// Reads the vertex attributes of an archive of this crate with one frame, except normals, under their own
@@ -647,11 +613,7 @@ pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<FileAttribut
     let mesh = own_mesh(&scene)?;
     check_single_frame(&scene, limits)?;
     let vertices = scene::vectors(&scene, mesh.required(names::POSITIONS)?, 0)?.len();
-    let mut attributes = frame_attributes(&scene, mesh, vertices)?;
-    if let Some((mut texture, corners)) = frame_texture(&scene, mesh)? {
-        PlacedSeams::of(&mut texture, vertices, &[], corners);
-        attributes.push(texture);
-    }
+    let attributes = frame_attributes(&scene, mesh, vertices)?;
     match attributes.iter().find(|attribute| attribute.values.len() != vertices * attribute.arity) {
         None => Ok(attributes),
         Some(FileAttribute { name, values, .. }) => {
@@ -680,26 +642,7 @@ fn placement(matrix: &Matrix) -> Result<(UpAxis, [f64; 3])> {
     Err(Error::invalid(FORMAT, Position::File, NOT_OURS))
 }
 
-/// The texture coordinates: all rows, and those of the corners of each triangle.
-fn frame_texture(scene: &Scene, mesh: &Geometry) -> Result<Option<(FileAttribute, Vec<[u32; 3]>)>> {
-    let Some(texture) = mesh.property(names::TEXTURE) else { return Ok(None) };
-    let parts = scene.archive.compound(texture)?;
-    let part = |name: &str| parts.iter().find(|part| part.name == name);
-    let (Some(values), Some(indices)) = (part(".vals"), part(".indices")) else {
-        return Err(Error::invalid(FORMAT, Position::File, NOT_OURS));
-    };
-    let values = scene.archive.elements::<8>(values, (Pod::F32, 2), 0)?;
-    let number = |bytes: &[u8; 4]| f32::from_le_bytes(*bytes);
-    let values: Vec<f32> = values.iter().flat_map(|row| row.as_chunks().0.iter().map(number)).collect();
-    let corners = rows_of_corners(&scene.archive, mesh, indices, values.len() / 2)?;
-    let role = Some(AttributeRole::TextureCoordinates);
-    Ok(Some((
-        FileAttribute { name: names::TEXTURE.to_owned(), arity: 2, role, values: Values::F32(values) },
-        corners,
-    )))
-}
-
-/// The attributes of the vertices, without texture coordinates. Their arity is rounded up: the caller refuses lengths that do not match.
+/// The attributes of the vertices. Their arity is rounded up: the caller refuses lengths that do not match.
 fn frame_attributes(scene: &Scene, mesh: &Geometry, vertex_count: usize) -> Result<Vec<FileAttribute>> {
     let mut attributes = Vec::new();
     let mut push = |name: String, role, values: Values| {
@@ -709,6 +652,10 @@ fn frame_attributes(scene: &Scene, mesh: &Geometry, vertex_count: usize) -> Resu
     if let Some(velocities) = mesh.property(names::VELOCITIES) {
         let values = scene::vectors(scene, velocities, 0)?.into_flattened();
         push(read::VELOCITY.to_owned(), Some(AttributeRole::Velocity), Values::F32(values));
+    }
+    if let Some(texture) = mesh.property(names::TEXTURE) {
+        let (_, values) = scene.archive.param(texture, None)?;
+        push(names::TEXTURE.to_owned(), Some(AttributeRole::TextureCoordinates), values);
     }
     let params = mesh.property(names::PARAMS).map(|params| scene.archive.compound(params)).transpose()?;
     for property in params.unwrap_or_default() {

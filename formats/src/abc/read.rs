@@ -4,7 +4,7 @@ use std::io::{Read, Seek};
 use std::sync::Mutex;
 
 use super::FORMAT;
-use super::archive::{Archive, PropertyHeader, check_start, own_metadata};
+use super::archive::{Archive, check_start, own_metadata};
 use super::document::{HEADER_BYTES, Pod, ROOT_CHILDREN};
 use super::mesh::names;
 use super::points::frame_numbers;
@@ -263,37 +263,21 @@ fn triangles(
     time: Option<f64>,
     vertex_count: usize,
 ) -> Result<Vec<[u32; 3]>> {
-    let corners = integers(archive, mesh.required(names::CORNERS)?, Pod::I32, time)?;
-    let counts = integers(archive, mesh.required(names::COUNTS)?, Pod::I32, time)?;
-    fans(&corners, &counts, vertex_count)
-}
-
-/// The rows of texture coordinates of the corners of the triangles of a mesh with one sample.
-pub(super) fn rows_of_corners(
-    archive: &Archive,
-    mesh: &Geometry,
-    indices: &PropertyHeader,
-    row_count: usize,
-) -> Result<Vec<[u32; 3]>> {
-    let rows = integers(archive, indices, Pod::U32, None)?;
-    fans(&rows, &integers(archive, mesh.required(names::COUNTS)?, Pod::I32, None)?, row_count)
-}
-
-fn integers(archive: &Archive, property: &PropertyHeader, pod: Pod, time: Option<f64>) -> Result<Vec<u32>> {
-    let numbers = archive.elements::<4>(property, (pod, 1), archive.index_at(property, time))?;
-    Ok(numbers.into_iter().map(u32::from_le_bytes).collect())
-}
-
-/// Splits faces, which have these numbers of corners, into triangles.
-fn fans(corners: &[u32], counts: &[u32], vertex_count: usize) -> Result<Vec<[u32; 3]>> {
     let invalid = |what: String| Error::invalid(FORMAT, Position::File, what);
+    let numbers = |name: &str| -> Result<Vec<u32>> {
+        let property = mesh.required(name)?;
+        let index = archive.index_at(property, time);
+        let numbers = archive.elements::<4>(property, (Pod::I32, 1), index)?;
+        Ok(numbers.into_iter().map(u32::from_le_bytes).collect())
+    };
+    let corners = numbers(names::CORNERS)?;
     if let Some(corner) = corners.iter().find(|corner| **corner as usize >= vertex_count) {
         let what = format!("a face has vertex index {corner}, but the mesh has {vertex_count} vertices");
         return Err(invalid(what));
     }
-    let (mut rest, mut triangles) = (corners, Vec::new());
-    for count in counts {
-        let Some((face, others)) = rest.split_at_checked(*count as usize) else {
+    let (mut rest, mut triangles) = (&*corners, Vec::new());
+    for count in numbers(names::COUNTS)? {
+        let Some((face, others)) = rest.split_at_checked(count as usize) else {
             let what = format!("a face has {count} corners, but all faces together have {}", corners.len());
             return Err(invalid(what));
         };

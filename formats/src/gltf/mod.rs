@@ -38,7 +38,7 @@ pub(crate) use frame_file::{
 pub(crate) use points::{POINTS, declares_points};
 pub use read::{ExternalFile, external_files, read_mesh, read_mesh_with_external};
 pub use sequence::{SEQUENCE_FRAMES, SequenceFrame, SequenceInfo, read_sequence_info, write_sequence};
-pub(crate) use write::{ACCELERATION_NAME, COLOR_NAME, PlacedMesh, PlacedSeams};
+pub(crate) use write::{ACCELERATION_NAME, COLOR_NAME, PlacedMesh};
 pub use write::{attribute_notes, write_glb, write_gltf};
 
 use crate::data::{AttributeRole, FileAttribute, MeshData, Values};

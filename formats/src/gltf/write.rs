@@ -12,15 +12,12 @@ use serde::{Serialize, Serializer};
 
 use super::frame_file::{ACCELERATION, COLOR, TEXTURE, VELOCITY, flipped};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
-use crate::data::{
-    AttributeRole, FileAttribute, MeshView, Provenance, SeamsView, Values, VertexAttribute, VertexValues,
-    bounds_of,
-};
+use crate::data::{FileAttribute, MeshView, Provenance, VertexAttribute, VertexValues, bounds_of};
 use crate::error::{Error, Position, Result};
 use crate::number::{write_f32s, write_pieces};
 use crate::options::{MeshOptions, UpAxis};
 use crate::provenance::GENERATOR;
-use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, split_at_seams, string_index};
+use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, string_index};
 
 /// Writes a `.glb` file. A mesh without triangles becomes an empty scene.
 ///
@@ -35,15 +32,6 @@ pub fn write_glb(
     out: &mut dyn Write,
 ) -> Result<()> {
     mesh.check(FORMAT)?;
-    split_at_seams(mesh, |mesh| write_split_glb(mesh, options, provenance, out))
-}
-
-fn write_split_glb(
-    mesh: &MeshView,
-    options: &MeshOptions,
-    provenance: &Provenance,
-    out: &mut dyn Write,
-) -> Result<()> {
     let layout = BufferLayout::of(mesh);
     let mut json = to_json(&Document::new(mesh, &layout, options, provenance, None))?;
     json.resize(json.len().next_multiple_of(4), b' ');
@@ -78,17 +66,8 @@ pub fn write_gltf(
     provenance: &Provenance,
     out: &mut dyn Write,
 ) -> Result<()> {
-    mesh.check(FORMAT)?;
-    split_at_seams(mesh, |mesh| write_split_gltf(mesh, options, provenance, out))
-}
-
-fn write_split_gltf(
-    mesh: &MeshView,
-    options: &MeshOptions,
-    provenance: &Provenance,
-    out: &mut dyn Write,
-) -> Result<()> {
     const URI: &str = "data:application/octet-stream;base64,";
+    mesh.check(FORMAT)?;
     let layout = BufferLayout::of(mesh);
     if u32::try_from(layout.byte_count()).is_err() {
         return Err(too_large(mesh));
@@ -130,29 +109,6 @@ pub(crate) struct PlacedMesh {
     pub(crate) triangles: Vec<[u32; 3]>,
     pub(crate) origin: [f64; 3],
     pub(crate) attributes: Vec<FileAttribute>,
-    pub(crate) seams: Option<PlacedSeams>,
-}
-
-/// The seams of the texture coordinates of a mesh of one frame, as in [`SeamsView`].
-pub(crate) struct PlacedSeams {
-    pub(crate) values: Vec<[f32; 2]>,
-    pub(crate) triangles: Vec<[u32; 3]>,
-}
-
-impl PlacedSeams {
-    /// Separates the values of all rows from those of the vertices, which the attribute keeps. `corners` has the rows of the
-    /// corners of the triangles. `None` if no corner differs from its vertex.
-    pub(crate) fn of(
-        texture: &mut FileAttribute,
-        vertex_count: usize,
-        triangles: &[[u32; 3]],
-        corners: Vec<[u32; 3]>,
-    ) -> Option<PlacedSeams> {
-        let Values::F32(values) = &mut texture.values else { return None };
-        let rows = values.as_chunks().0.to_vec();
-        values.truncate(2 * vertex_count);
-        (corners != triangles).then_some(PlacedSeams { values: rows, triangles: corners })
-    }
 }
 
 impl PlacedMesh {
@@ -164,13 +120,7 @@ impl PlacedMesh {
         provenance: &Provenance,
         byte_count: usize,
     ) -> Result<(Vec<u8>, Vec<String>)> {
-        let seams = self.seams.as_ref();
-        let mut views: Vec<VertexAttribute> = Vec::new();
-        for attribute in &self.attributes {
-            let seams = seams.filter(|_| attribute.role == Some(AttributeRole::TextureCoordinates));
-            let seams = seams.map(|PlacedSeams { values, triangles, .. }| SeamsView { values, triangles });
-            views.extend(attribute.view().map(|view| VertexAttribute { seams, ..view }));
-        }
+        let views: Vec<VertexAttribute> = self.attributes.iter().filter_map(FileAttribute::view).collect();
         let mesh = MeshView {
             positions: self.positions.as_chunks().0,
             normals: self.normals.as_chunks().0,
@@ -504,7 +454,7 @@ const TARGET_INDICES: u32 = 34963;
 //   velocity   _VELOCITY    three floats, in the axes of the positions
 //   acceleration  _ACCELERATION, likewise
 //   texture coordinates  TEXCOORD_0  two floats: v is 1 − v, because the origin of a picture is its upper left
-//              corner. Vertices are split at seams.
+//              corner
 //   others     _NAME        one to four floats; integers of up to 24 bits are exact
 //   strings    _NAME        an index into the list `extras.strings._NAME` of the mesh; −1 for none
 //

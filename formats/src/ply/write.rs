@@ -7,7 +7,7 @@
 //!   more         name_0 name_1 ..
 //!   colour       red green blue [alpha]     of vertices: bytes, which all readers of coloured PLY support
 //!   velocity     vx vy vz                   of vertices
-//!   texture coordinates  s t                of vertices, which are split at seams
+//!   texture coordinates  s t                of vertices
 //!   integers     names as above             int, uint (particles only), or double if these are too narrow
 //!   strings      names as above             int: the index of a string listed in a comment; −1 for none
 //! ```
@@ -22,7 +22,7 @@ use crate::data::{
 use crate::error::{Error, Result};
 use crate::provenance::{GENERATOR, comments, escape};
 use crate::vertex_attributes::{
-    Purpose, StoredNumbers, UsedNames, check, clamp_note, plain_name, purposes, split_at_seams, written,
+    Purpose, StoredNumbers, UsedNames, check, clamp_note, plain_name, purposes, written,
 };
 
 const FORMAT: &str = "PLY";
@@ -39,10 +39,6 @@ const PIECE: usize = 4096;
 /// readers expect; [`Error::Invalid`] if the mesh is inconsistent or not finite.
 pub fn write_mesh(mesh: &MeshView, provenance: &Provenance, out: &mut dyn Write) -> Result<()> {
     mesh.check(FORMAT)?;
-    split_at_seams(mesh, |mesh| write_split(mesh, provenance, out))
-}
-
-fn write_split(mesh: &MeshView, provenance: &Provenance, out: &mut dyn Write) -> Result<()> {
     if i32::try_from(mesh.positions.len()).is_err() {
         let what = format!("the mesh has {} vertices; the limit of PLY is 2³¹ − 1", mesh.positions.len());
         return Err(Error::too_large(FORMAT, what));

@@ -153,27 +153,6 @@ impl PrimMesh {
     }
 }
 
-/// The rows of an indexed array that each corner of the triangles of a prim has, and the number of rows; `None` if the
-/// prim has no such indices.
-pub(crate) fn rows_of_corners(
-    stage: &ComposedStage,
-    prim: &StagePrim,
-    indices: &str,
-    row_count: usize,
-    time: Option<f64>,
-) -> Result<Option<Vec<[u32; 3]>>> {
-    let integers = |name: &str| -> Result<Option<Vec<i32>>> {
-        Ok(match stage.array_at(prim, name, time)?.map(|(array, _)| array.values) {
-            Some(Values::I32(values)) => Some(values),
-            _ => None,
-        })
-    };
-    let (Some(counts), Some(rows)) = (integers("faceVertexCounts")?, integers(indices)?) else {
-        return Ok(None);
-    };
-    fans(prim, &counts, &rows, &[], row_count).map(Some)
-}
-
 /// Normals after a transform. A translation leaves them as they are.
 #[expect(clippy::cast_possible_truncation, reason = "normals have 32 bits")]
 fn turned_normals(normals: &[f32], matrix: &PrimMatrix) -> Vec<[f32; 3]> {

@@ -19,10 +19,10 @@ mod sequence;
 #[cfg(test)]
 mod tests;
 
-use crate::data::{MeshView, SeamsView, VertexAttribute, VertexValues, bounds_of};
+use crate::data::{MeshView, VertexAttribute, VertexValues, bounds_of};
 use crate::narrow_points::NarrowPoints;
 use crate::provenance::are_points;
-use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes, texture_of};
+use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
 
 pub(crate) use sequence::{SequenceAttribute, UsdSequence, UsdSequencePoints};
 
@@ -227,10 +227,7 @@ pub(crate) fn properties<'a>(mesh: &MeshView<'a>, quads: &'a [bool], is_clip: bo
         MeshProperty::array("point3f[]", "points", Elements::reals(mesh.positions.as_flattened(), 3)),
     ]);
     for (attribute, property) in mesh.attributes.iter().zip(usd_properties(mesh.attributes)) {
-        match (&property, texture_of(mesh)) {
-            (UsdProperty::Texture, Some(texture)) => found.extend(of_texture(texture, quads)),
-            _ => found.extend(properties_of(attribute, &property)),
-        }
+        found.extend(properties_of(attribute, &property));
     }
     found.push(MeshProperty::new("token", "subdivisionScheme", PropertyValue::Token("none")));
     found.extend(translation(mesh.origin, is_clip));
@@ -348,7 +345,7 @@ pub(crate) fn renamed(attributes: &[VertexAttribute], extension: &str) -> Vec<St
 /// ```text
 ///   velocity   velocities, for motion blur     colour     primvars:displayColor, displayOpacity
 ///   acceleration  accelerations, which renderers use together with the velocities
-///   texture coordinates  primvars:st, with a value for each corner of a face: see [`of_texture`]
+///   texture coordinates  primvars:st
 ///   floats     primvars:NAME, as vectors if a vertex has two to four values
 ///   integers   the same with the type int; if a value needs 64 bits, scalars of the type int64 instead of
 ///              vectors, of which elementSize says how many belong to a vertex
@@ -372,6 +369,10 @@ fn properties_of<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) ->
             found.extend((arity == 4).then(|| part("float[]", "primvars:displayOpacity", 3, 1)));
             found
         }
+        (UsdProperty::Texture, VertexValues::Numbers(values)) => {
+            let name = format!("primvars:{TEXTURE}");
+            vec![MeshProperty::array(TEXTURE_KIND, &name, Elements::reals(values, 2))]
+        }
         (UsdProperty::Primvar(name), VertexValues::Strings { table, indices }) => {
             let name = format!("primvars:{name}");
             let indexed = MeshProperty::new("string[]", &name, PropertyValue::StringTable(table));
@@ -391,27 +392,12 @@ fn properties_of<'a>(attribute: &VertexAttribute<'a>, property: &UsdProperty) ->
             let width = if arity <= TUPLE_MAX { arity } else { 1 };
             vec![primvar(&vector("float", width), name, Elements::reals(values, width), arity / width)]
         }
-        // `purposes` gives these roles only to floats, and a mesh has the properties of textures.
+        // `purposes` gives these roles only to floats.
         (
             UsdProperty::Velocities | UsdProperty::Accelerations | UsdProperty::Color | UsdProperty::Texture,
             _,
         ) => Vec::new(),
     }
-}
-
-/// The properties of texture coordinates: distinct values, and the index of each corner. A prim has one interpolation for
-/// all frames, so corners have indices even in a frame without seams.
-fn of_texture<'a>(
-    SeamsView { values, triangles }: SeamsView<'a>,
-    quads: &'a [bool],
-) -> [MeshProperty<'a>; 2] {
-    let name = format!("primvars:{TEXTURE}");
-    let values = MeshProperty::array(TEXTURE_KIND, &name, Elements::reals(values.as_flattened(), 2));
-    let indices = Elements::FaceCorners { triangles, quads };
-    [
-        MeshProperty { interpolation: Some("faceVarying"), ..values },
-        MeshProperty::array("int[]", &format!("{name}{INDICES}"), indices),
-    ]
 }
 
 fn vector(kind: &str, width: usize) -> String {

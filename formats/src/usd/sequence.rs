@@ -92,7 +92,6 @@ impl<'a> UsdSequence<'a> {
                     let opacity = attribute(("float[]", "primvars:displayOpacity"), 3, 1);
                     found.extend((arity == 4).then_some(opacity));
                 }
-                // The vertices are split at seams, as in the frames.
                 (GLTF_TEXTURE, 2) => {
                     found.push(attribute((TEXTURE_KIND, &format!("primvars:{TEXTURE}")), 0, 2));
                 }

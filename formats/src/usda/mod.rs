@@ -109,7 +109,7 @@ fn encode_batch(
     let faces = (mesh.triangles.len() - quad_count(&options.quads).min(mesh.triangles.len())) as u64;
     let Some(index) = index.checked_sub(1) else {
         mesh.check(FORMAT)?;
-        check_quads(FORMAT, mesh, &options.quads)?;
+        check_quads(FORMAT, mesh.triangles, &options.quads)?;
         let info = LayerInfo { vertices, faces, frames: None };
         let name = plain_name(&options.name);
         let sampled = sampled_properties(mesh, options);

@@ -109,7 +109,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
 /// or if two triangles marked as a quad do not form one; [`crate::Error::TooLarge`] beyond 2³¹ vertices.
 fn write(mesh: &MeshView, options: &MeshOptions, provenance: &Provenance, out: &mut dyn Write) -> Result<()> {
     mesh.check(FORMAT)?;
-    check_quads(FORMAT, mesh, &options.quads)?;
+    check_quads(FORMAT, mesh.triangles, &options.quads)?;
     let layer = LayerHead {
         provenance,
         info: Some(LayerInfo {

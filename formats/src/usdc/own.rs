@@ -7,21 +7,18 @@ use std::sync::Mutex;
 use super::tables::check_magic;
 use crate::batches::{ReadAt, SeekFile};
 use crate::columns::role_of;
-use crate::data::{AttributeRole, FileAttribute, MeshData, Values, world};
+use crate::data::{FileAttribute, MeshData, Values, world};
 use crate::error::{Error, Result};
-use crate::gltf::{PlacedMesh, PlacedSeams};
+use crate::gltf::PlacedMesh;
 use crate::limits::Limits;
 use crate::named_arrays::NamedArray;
 use crate::options::UpAxis;
 use crate::usd::composed::{ComposedStage, StagePrim};
-use crate::usd::layer::{Layer, Value, unexpected};
-use crate::usd::mesh::{PrimMesh, mesh_prims, rows_of_corners};
+use crate::usd::layer::{Layer, unexpected};
+use crate::usd::mesh::{PrimMesh, mesh_prims};
 use crate::usd::package::LayerBytes;
 use crate::usd::points::attributes;
-use crate::usd::{
-    ACCELERATIONS, FORMAT, INDICES, LayerInfo, SampledProperty, TEXTURE, TEXTURE_KIND, VELOCITIES,
-    attribute_of,
-};
+use crate::usd::{ACCELERATIONS, FORMAT, LayerInfo, SampledProperty, TEXTURE, VELOCITIES, attribute_of};
 
 /// A file with the mesh of one frame, or with a sample for each frame of a sequence.
 pub struct UsdcLayer<'a> {
@@ -106,8 +103,7 @@ impl<'a> UsdcLayer<'a> {
     /// [`Error::Invalid`] if there is no such frame, or if it is damaged; [`Error::TooLarge`] if it exceeds
     /// the limits.
     pub fn frame(&self, index: usize) -> Result<UsdcFrame> {
-        let PlacedMesh { positions, normals, triangles, origin, attributes, .. } =
-            self.placed_frame(index)?;
+        let PlacedMesh { positions, normals, triangles, origin, attributes } = self.placed_frame(index)?;
         let positions = positions.as_chunks::<3>().0;
         let positions = positions.iter().map(|position| world(origin, *position)).collect();
         let normals = normals.as_chunks::<3>().0.to_vec();
@@ -130,37 +126,22 @@ impl<'a> UsdcLayer<'a> {
             return Err(unexpected("normals"));
         }
         let count = positions.len() / 3;
-        let texture = format!("primvars:{TEXTURE}");
-        let rows = match self.stage.attribute_field(&self.mesh, &texture, "typeName")? {
-            Some(Value::Word(kind)) if kind == TEXTURE_KIND => {
-                self.stage.array_at(&self.mesh, &texture, time)?
-            }
-            _ => None,
-        };
-        let is_other = |name: &str| attribute_of(name).is_none() || rows.is_some() && name == texture;
-        let arrays = attributes(&self.stage, &self.mesh, (count, time), is_other, &mut Vec::new())?;
+        let arrays = attributes(
+            &self.stage,
+            &self.mesh,
+            (count, time),
+            |name| attribute_of(name).is_none(),
+            &mut Vec::new(),
+        )?;
         let attribute = |array: NamedArray| {
-            let has_role = [VELOCITIES, ACCELERATIONS, "displayColor"].contains(&array.name.as_str());
+            let has_role =
+                [VELOCITIES, ACCELERATIONS, "displayColor", TEXTURE].contains(&array.name.as_str());
             let role = role_of(&array.name, array.arity).filter(|_| has_role);
             FileAttribute { name: array.name, arity: array.arity, role, values: array.values }
         };
-        let mut attributes: Vec<FileAttribute> = arrays.into_iter().map(attribute).collect();
-        let mut seams = None;
-        if let Some((NamedArray { values, arity, .. }, _)) = rows {
-            let (indices, row_count) = (format!("{texture}{INDICES}"), values.len() / 2);
-            let corners = rows_of_corners(&self.stage, &self.mesh, &indices, row_count, time)?;
-            // A sequence has no indices: its vertices are split.
-            if arity != 2 || corners.is_none() && row_count != count {
-                return Err(unexpected(&texture));
-            }
-            let role = Some(AttributeRole::TextureCoordinates);
-            let mut texture = FileAttribute { name: TEXTURE.to_owned(), arity, role, values };
-            let corners = corners.unwrap_or_else(|| triangles.clone());
-            seams = PlacedSeams::of(&mut texture, count, &triangles, corners);
-            attributes.push(texture);
-        }
+        let attributes = arrays.into_iter().map(attribute).collect();
         let [x, y, z, _] = matrix[3];
-        Ok(PlacedMesh { positions, normals, triangles, origin: [x, y, z], attributes, seams })
+        Ok(PlacedMesh { positions, normals, triangles, origin: [x, y, z], attributes })
     }
 }
 

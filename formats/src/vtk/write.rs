@@ -13,7 +13,7 @@
 //! ```
 //!
 //! Attributes have their own names. Those of particles have their own types; integers of a mesh have 32 bits
-//! if all fit, else 64. Vertices are split at the seams of texture coordinates. Positions of a mesh are 64-bit floats if it has an origin other than zero. Each
+//! if all fit, else 64. Positions of a mesh are 64-bit floats if it has an origin other than zero. Each
 //! particle is also a cell, so that ParaView displays it. Axes are not converted, because VTK has no notion of
 //! up. VTK's XML files store strings as the decimal codes of their bytes, with a zero after each string.
 
@@ -26,8 +26,7 @@ use crate::error::Result;
 use crate::options::MeshOptions;
 use crate::provenance::{GENERATOR, prefixed};
 use crate::vertex_attributes::{
-    Purpose, StoredNumbers, UsedNames, check, check_quads, faces, purposes, quad_count, split_at_seams,
-    written,
+    Purpose, StoredNumbers, UsedNames, check, check_quads, faces, purposes, quad_count, written,
 };
 
 /// Writes positions, normals, attributes and faces.
@@ -43,11 +42,8 @@ pub fn write_mesh(
     out: &mut dyn Write,
 ) -> Result<()> {
     mesh.check(XML)?;
-    check_quads(XML, mesh, &options.quads)?;
-    split_at_seams(mesh, |mesh| write_split(mesh, &options.quads, provenance, out))
-}
-
-fn write_split(mesh: &MeshView, quads: &[bool], provenance: &Provenance, out: &mut dyn Write) -> Result<()> {
+    check_quads(XML, mesh.triangles, &options.quads)?;
+    let quads = &*options.quads;
     let MeshView { positions, normals, triangles, origin, attributes } = *mesh;
     let mut of_points = vec![Array::stored(NORMALS, 3, StoredNumbers::F32(normals.as_flattened()))];
     for (attribute, name) in attributes.iter().zip(names_in_file(attributes)) {

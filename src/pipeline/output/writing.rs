@@ -208,7 +208,6 @@ pub fn vertex_attributes<'a>(attributes: &'a [Attribute]) -> Vec<VertexAttribute
         name: &attribute.name,
         role: file_role(attribute.role),
         arity: attribute.arity,
-        seams: None,
         values: match &attribute.values {
             AttributeValues::Numbers(values) => VertexValues::Numbers(values),
             AttributeValues::Integers(values) => VertexValues::Integers(values),
