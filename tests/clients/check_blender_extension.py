@@ -9,7 +9,7 @@
     errors        points that cannot be read, with the reason in the panel
     rendered      frames 1 to 10, each with its own surface, with motion blur
                   extension_0001.png and so on, extension_still.png: frame 5 without blur
-    baked         a range of frames as one .usdc, which shows the same mesh in each frame
+    baked         a range of frames as one .abc, which shows the same mesh in each frame
 
 Runs in separate Pythons, with Blender 4.5 and 5.0 as a module. The argument is the wheel of pymeniscus.
 """
@@ -660,9 +660,9 @@ def baked():
     for frame in (1, 2, 3):
         scene.frame_set(frame)
         meshes[frame] = (positions_of(surface.data), numbers_of(surface.data, "velocity"))
-    file = FOLDER / "baked.usdc"
+    file = FOLDER / "baked.abc"
     # Files of the user, with the names that frames have.
-    users = [file.with_name(f"baked.{frame:04}.usdc") for frame in (1, 2, 3, 4)]
+    users = [file.with_name(f"baked.{frame:04}.abc") for frame in (1, 2, 3, 4)]
     for path in users:
         path.write_text(path.name)
     bpy.ops.meniscus.bake(filepath=str(file), first=1, last=3)
@@ -692,7 +692,7 @@ def baked():
         faults.append(f"two bakes to one file made {len(bpy.data.cache_files)} caches")
     # A bake that is cancelled, and one that Blender ends, in the first of many frames.
     for end in ("cancel", "close"):
-        bake = part("bake").Bake(surface, scene, FOLDER / "ended.usdc", 1, 100)
+        bake = part("bake").Bake(surface, scene, FOLDER / "ended.abc", 1, 100)
         bake.step()
         getattr(bake, end)()
         bake.wait()
@@ -704,13 +704,13 @@ def baked():
         if left:
             faults.append(f"after {end}, {left} stay")
     # A folder in place of the file: the bake ends with the reason.
-    other = FOLDER / "other.usdc"
+    other = FOLDER / "other.abc"
     other.mkdir()
     try:
         bpy.ops.meniscus.bake(filepath=str(other), first=1, last=1, is_linked=False)
         faults.append("a bake over a folder has succeeded")
     except RuntimeError as error:
-        if "other.usdc" not in str(error):
+        if "other.abc" not in str(error):
             faults.append(f"a bake over a folder says {error}")
     bpy.ops.meniscus.unlink()
     if surface.modifiers or not surface.meniscus.is_live:
@@ -732,7 +732,7 @@ def averaged(scene, surface):
         frames.append({"points": points.positions, "attributes": points.attributes or None, **named})
     options = {"temporal": 1, "time_step": 1 / 24, **request.options}
     wanted = [surface.vertices for surface in pymeniscus.Sequence(**options).averaged(frames)]
-    bpy.ops.meniscus.bake(filepath=str(FOLDER / "averaged.usdc"), first=1, last=4, temporal=1)
+    bpy.ops.meniscus.bake(filepath=str(FOLDER / "averaged.abc"), first=1, last=4, temporal=1)
     faults = []
     for frame, vertices in enumerate(wanted, 1):
         scene.frame_set(frame)

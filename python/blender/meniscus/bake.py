@@ -1,4 +1,4 @@
-"""Bakes a live surface into a .usdc file, and shows the file in place of the live surface.
+"""Bakes a live surface into a .abc file, and shows the file in place of the live surface.
 
 The result needs no extension: Blender's modifier Mesh Sequence Cache reads it.
 """
@@ -49,7 +49,6 @@ class Bake:
         self._before = scene.frame_current
         # The thread must not read Blender's data.
         self._fps = scene.render.fps / scene.render.fps_base
-        self._scale = scene.unit_settings.scale_length
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="meniscus-bake")
         self._future: Future[str] | None = None
         self._averages = Averages(temporal, 1 / self._fps) if temporal else None
@@ -149,9 +148,9 @@ class Bake:
         return "\n".join(filter(None, errors))
 
     def _save(self, frame: int, surface: pymeniscus.Surface) -> str:
-        path = self._folder / f"{self.file.stem}.{frame:04}.usdc"
+        path = self._folder / f"{self.file.stem}.{frame:04}.abc"
         try:
-            surface.write(path, up="z", meters_per_unit=self._scale)
+            surface.write(path, up="z")
         except (OSError, pymeniscus.MeniscusError) as error:
             return f"frame {frame}: {error}"
         self.written += 1
@@ -164,7 +163,6 @@ class Bake:
     def _combine(self) -> str:
         """Combines the frames with the command line."""
         words = [str(self._folder), "-o", str(self.file), "--fps", f"{self._fps:.9g}"]
-        words += ["--meters-per-unit", f"{self._scale:.9g}"]
         try:
             ran = program.run(["sequence", *words])
         except OSError as error:
@@ -269,15 +267,15 @@ def mesh_path(cache: bpy.types.CacheFile) -> str:
 
 
 class MENISCUS_OT_bake(bpy.types.Operator):
-    """Write the live surface of a range of frames to a .usdc file"""
+    """Write the live surface of a range of frames to a .abc file"""
 
     bl_idname = "meniscus.bake"
     bl_label = "Bake"
     # Not "REGISTER": a change in the panel of the last operator would bake again.
     bl_options = {"UNDO"}
 
-    filepath: StringProperty(name="File", subtype="FILE_PATH", description="The .usdc file to write")
-    filter_glob: StringProperty(default="*.usdc", options={"HIDDEN"})
+    filepath: StringProperty(name="File", subtype="FILE_PATH", description="The .abc file to write")
+    filter_glob: StringProperty(default="*.abc", options={"HIDDEN"})
     first: IntProperty(name="First frame", default=1, min=0)
     last: IntProperty(name="Last frame", default=250, min=0)
     temporal: IntProperty(
@@ -297,14 +295,14 @@ class MENISCUS_OT_bake(bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         surface = live.surface_of(context.object, context.scene)
         self.first, self.last = context.scene.frame_start, context.scene.frame_end
-        self.filepath = str(Path(bpy.path.abspath("//") or Path.home()) / f"{surface.name}.usdc")
+        self.filepath = str(Path(bpy.path.abspath("//") or Path.home()) / f"{surface.name}.abc")
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         file = sequence.absolute(self.filepath)
-        if file.suffix != ".usdc":
-            self.report({"ERROR"}, f"{Path(self.filepath).name or 'the file'} must end in .usdc")
+        if file.suffix != ".abc":
+            self.report({"ERROR"}, f"{Path(self.filepath).name or 'the file'} must end in .abc")
             return {"CANCELLED"}
         if self.last < self.first:
             self.report({"ERROR"}, f"the last frame, {self.last}, is before the first, {self.first}")
@@ -312,7 +310,7 @@ class MENISCUS_OT_bake(bpy.types.Operator):
         surface = live.surface_of(context.object, context.scene)
         try:
             if self.is_linked:
-                sequence.require("USD")
+                sequence.require("Alembic")
             self._bake = Bake(surface, context.scene, file, self.first, self.last, self.temporal)
         except (OSError, ValueError) as error:
             self.report({"ERROR"}, reason_of(error))
@@ -382,7 +380,7 @@ class MENISCUS_PT_bake(live.SurfacePanel, bpy.types.Panel):
     bl_label = "Bake"
 
     def draw(self, context: bpy.types.Context) -> None:
-        self.layout.operator(MENISCUS_OT_bake.bl_idname, text="Bake to .usdc", icon="FILE_CACHE")
+        self.layout.operator(MENISCUS_OT_bake.bl_idname, text="Bake to .abc", icon="FILE_CACHE")
         if MODIFIER in live.surface_of(context.object, context.scene).modifiers:
             self.layout.operator(MENISCUS_OT_unlink.bl_idname, icon="UNLINKED")
 
