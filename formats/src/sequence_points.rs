@@ -12,7 +12,6 @@
 use crate::data::{AttributeRole, FileAttribute, FilePositions, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::narrow_points::NarrowPoints;
-use crate::sequence::held_times;
 
 /// What must be known of the points of a frame before a sequence is written.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -171,27 +170,9 @@ impl<'a> SequencePoints<'a> {
         self.frames.get(index).map_or(0, |frame| frame.count)
     }
 
-    /// The [times](held_times) at which a frame with the number `codes[index]` needs samples of its points.
-    pub(crate) fn held_times(&self, codes: &[i64], index: usize) -> impl Iterator<Item = f64> + use<> {
-        let next = codes.get(index + 1).copied().filter(|_| self.is_as_large_as_next(index));
-        held_times(codes[index], next)
-    }
-
     /// Whether a frame has as many points as the next, so that programs would interpolate between them.
     pub(crate) fn is_as_large_as_next(&self, index: usize) -> bool {
         self.count(index) == self.count(index + 1)
-    }
-
-    /// The minimum and maximum corner of a frame's points, as balls, relative to the sequence's origin; `None` without
-    /// points.
-    #[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
-    pub(crate) fn extent(&self, index: usize) -> Option<[[f32; 3]; 2]> {
-        let PointsSummary { bounds: [low, high], radius, .. } =
-            self.frames.get(index).filter(|frame| frame.count > 0)?;
-        let corner = |corner: &[f64; 3], by: f32| {
-            std::array::from_fn(|axis| (corner[axis] - self.origin[axis]) as f32 + by)
-        };
-        Some([corner(low, -radius), corner(high, *radius)])
     }
 
     /// Reads the points of a frame, with the attributes of the sequence in their order; a frame without points has
@@ -303,8 +284,6 @@ mod tests {
         let read = |index: usize| Ok(frames[index / 2].clone());
         let points = SequencePoints::new(summaries, Box::new(read));
         assert_eq!((points.total(), points.origin), (2, [1e6, 2.0, 3.0]));
-        assert_eq!(points.extent(0), Some([[0.0; 3]; 2]));
-        assert_eq!(points.extent(1), None);
         assert_eq!(
             points.notes(),
             ["heat of the points is missing in the sequence: not all frames have it with the same type"]

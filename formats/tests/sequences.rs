@@ -8,7 +8,7 @@ use meniscus_formats::gltf::{self, GlbFrame, SequenceFrame, UpAxis};
 use meniscus_formats::{
     AttributeRole, ContainerFile, Error, FileAttribute, FilePositions, Format, Limits, MeshData, MeshOptions,
     MeshView, OpenFurther, OutputFormat, ParticleFrame, PointFormat, PointsSummary, ProbedKind,
-    SequencePoints, Values, VertexAttribute, VertexValues, abc, container, read_particles, usda, usdc,
+    SequencePoints, Values, VertexAttribute, VertexValues, abc, container, read_particles, usdc,
 };
 
 use crate::mesh_formats::of_numbers;
@@ -95,24 +95,6 @@ fn glb_shot(up: UpAxis) -> Vec<u8> {
     let open = |index: usize| Ok(Cursor::new(&files[index]));
     gltf::write_sequence(&shot, 25.0, &provenance(), open, &mut bytes).expect("written");
     bytes
-}
-
-fn usda_shot(up: UpAxis) -> (String, Vec<String>) {
-    let (shot, files) = gathered(up);
-    let mut bytes = Vec::new();
-    let open = |index: usize| Ok(Cursor::new(&files[index]));
-    let notes =
-        usda::write_sequence(&shot, None, (25.0, 0.01), &provenance(), open, &mut bytes).expect("written");
-    (String::from_utf8(bytes).expect("UTF-8"), notes)
-}
-
-fn usdc_shot(up: UpAxis) -> (Vec<u8>, Vec<String>) {
-    let (shot, files) = gathered(up);
-    let mut bytes = Cursor::new(Vec::new());
-    let open = |index: usize| Ok(Cursor::new(&files[index]));
-    let notes =
-        usdc::write_sequence(&shot, None, (25.0, 0.01), &provenance(), open, &mut bytes).expect("written");
-    (bytes.into_inner(), notes)
 }
 
 #[test]
@@ -236,104 +218,6 @@ fn abc_sequence_without_missing_frames_has_uniform_times() {
     assert!(abc::write_sequence(&[], None, 24.0, &[], open, &mut Vec::new()).is_err());
 }
 
-fn samples<'a>(text: &'a str, name: &str) -> Vec<(&'a str, &'a str)> {
-    let start = text.split(&format!(" {name}.timeSamples = {{\n")).nth(1).unwrap_or_else(|| panic!("{name}"));
-    let lines = start.split("\n        }\n").next().expect("an end").lines();
-    lines.map(|line| line.trim().trim_end_matches(',').split_once(": ").expect("a time")).collect()
-}
-
-fn numbers(text: &str) -> Vec<f64> {
-    let words = text.split([',', ' ', '(', ')', '[', ']']).filter(|word| !word.is_empty());
-    words.map(|word| word.parse().unwrap_or_else(|_| panic!("{word} is not a number"))).collect()
-}
-
-#[test]
-fn usda_sequence_has_a_sample_per_frame() {
-    for up in [UpAxis::Y, UpAxis::Z] {
-        let (text, notes) = usda_shot(up);
-        assert!(text.contains(if up == UpAxis::Z { "upAxis = \"Z\"" } else { "upAxis = \"Y\"" }));
-        assert!(text.contains("    startTimeCode = 5\n    timeCodesPerSecond = 25\n"));
-        assert!(text.contains("    defaultPrim = \"root\"\n") && text.contains("    metersPerUnit = 0.01\n"));
-        assert!(text.contains("\ndef Xform \"root\"\n{\n    def Mesh \"surface\"\n    {\n"));
-        let [points, corners, extents] =
-            ["points", "faceVertexIndices", "extent"].map(|name| samples(&text, name));
-        let (_, origin) = text.split_once(" xformOp:translate = ").expect("a translation of all frames");
-        let origin = numbers(origin.lines().next().expect("a value"));
-        assert_eq!(origin, FAR);
-        let velocities = samples(&text, "velocities");
-        for (index, frame) in frames().iter().enumerate() {
-            let (positions, _, triangles) = frame.mesh();
-            let code = frame.code.to_string();
-            assert!([&points, &corners].iter().all(|samples| samples[index].0 == code));
-            let at = |samples: &[(&str, &str)], code: &str| {
-                let found = samples.iter().find(|(other, _)| *other == code);
-                numbers(found.unwrap_or_else(|| panic!("no sample at {code}")).1)
-            };
-            let found = numbers(points[index].1);
-            // While frames are missing (here 7 and 8), the last value is held until the next frame.
-            assert_eq!(at(&extents, &BEFORE_9.to_string()), at(&extents, "6"));
-            assert_eq!(found.len(), 3 * positions.len());
-            for (found, expected) in found.as_chunks::<3>().0.iter().zip(&positions) {
-                for axis in 0..3 {
-                    let (found, expected) =
-                        (found[axis] + origin[axis], f64::from(expected[axis]) + frame.origin[axis]);
-                    assert!(
-                        (found - expected).abs() <= 1e-7 + 1e-9 * frame.origin[axis].abs(),
-                        "{found} {expected}"
-                    );
-                }
-            }
-            assert_eq!(numbers(corners[index].1).len(), 3 * triangles.len());
-            assert_eq!(numbers(velocities[index].1).len(), found.len());
-            let extent = at(&extents, &code);
-            if found.is_empty() {
-                // The empty range, and not a box at the origin.
-                let extent: Vec<f32> = extent.iter().map(|&x| x as f32).collect();
-                assert_eq!(extent, [[f32::MAX; 3], [f32::MIN; 3]].concat());
-            }
-            for point in found.as_chunks::<3>().0 {
-                assert!((0..3).all(|axis| extent[axis] <= point[axis] && point[axis] <= extent[axis + 3]));
-            }
-        }
-        // The note names the attribute that one frame lacks.
-        assert!(notes.len() == 1 && notes[0].starts_with("_HEAT is missing in the sequence"), "{notes:?}");
-        let info = usda::read_layer_info(text.as_bytes()).expect("our own file").expect("figures");
-        assert_eq!((info.frames, info.faces), (Some(4), 70_008));
-    }
-}
-
-#[test]
-fn usdc_sequence_has_a_sample_per_frame() {
-    for up in [UpAxis::Y, UpAxis::Z] {
-        let (bytes, notes) = usdc_shot(up);
-        assert_eq!(notes, usda_shot(up).1);
-        let layer = usdc::UsdcLayer::read(&bytes, &Limits::default()).expect("our own file");
-        assert_eq!(layer.codes(), Some(&[5.0, 6.0, 9.0, 10.0][..]));
-        assert_eq!((layer.info().frames, layer.info().faces), (Some(4), 70_008));
-        for (index, frame) in frames().iter().enumerate() {
-            let (positions, normals, triangles) = frame.mesh();
-            let usdc::UsdcFrame { mesh, attributes } = layer.frame(index).expect("our own file");
-            assert_eq!(mesh.triangles, triangles);
-            assert_eq!(mesh.positions.len(), positions.len());
-            for (found, position) in mesh.positions.iter().zip(&positions) {
-                let is_near = |axis: usize| {
-                    (found[axis] - frame.origin[axis] - f64::from(position[axis])).abs() <= MOVED_ROUNDING
-                };
-                assert!((0..3).all(is_near), "{found:?} is not {position:?}");
-            }
-            assert_eq!(mesh.normals.len(), normals.len());
-            let [velocity] = &attributes[..] else { panic!("{attributes:?}") };
-            let expected: Vec<f32> = positions.iter().flat_map(|p| [p[0], 2.0, 0.0]).collect();
-            assert_eq!((&*velocity.name, velocity.arity), ("velocities", 3));
-            assert_eq!(velocity.values, Values::F32(expected));
-        }
-        assert!(layer.frame(4).is_err());
-        for length in (0..bytes.len()).rev().step_by(997).chain(0..3000) {
-            assert!(usdc::UsdcLayer::read(&bytes[..length], &Limits::default()).is_err(), "{length}");
-        }
-    }
-}
-
 /// Three frames with the same mesh, from this number on: programs would interpolate between them.
 fn equal_frames(first: i64) -> (Vec<SequenceFrame>, Vec<u8>) {
     let (shot, mut files) = gathered(UpAxis::Y);
@@ -347,28 +231,9 @@ fn frames_with_the_same_number_of_vertices_are_repeated_just_before_the_next() {
         let (frames, file) = equal_frames(first);
         let open = |_: usize| Ok(Cursor::new(&file));
         let times = [0.0, 1.0 - 1.0 / 64.0, 1.0, 2.0 - 1.0 / 64.0, 2.0].map(|time| from + time);
-        let codes = times.map(|time| time.to_string());
-
-        let mut text = Vec::new();
-        usda::write_sequence(&frames, None, (24.0, 1.0), &[], open, &mut text).expect("written");
-        let text = String::from_utf8(text).expect("UTF-8");
-        assert!(text.contains(&format!("    startTimeCode = {first}\n")));
-        for name in ["points", "velocities", "normals", "faceVertexIndices", "extent"] {
-            let found: Vec<&str> = samples(&text, name).iter().map(|(code, _)| *code).collect();
-            assert_eq!(found, codes, "{name}");
-        }
-
         let mut bytes = Vec::new();
         abc::write_sequence(&frames, None, 24.0, &provenance(), open, &mut bytes).expect("written");
         assert_eq!(abc::read_times(&bytes).expect("times"), times.map(|time| time / 24.0));
-
-        let mut bytes = Cursor::new(Vec::new());
-        usdc::write_sequence(&frames, None, (24.0, 1.0), &[], open, &mut bytes).expect("written");
-        let bytes = bytes.into_inner();
-        let layer = usdc::UsdcLayer::read(&bytes, &Limits::default()).expect("our own file");
-        assert_eq!(layer.codes(), Some(&[from, from + 1.0, from + 2.0][..]));
-        let stored = times.map(f64::to_le_bytes);
-        assert!(bytes.windows(40).any(|window| window == stored.as_flattened()));
     }
 }
 
@@ -418,33 +283,23 @@ fn points(code: i64) -> ParticleFrame {
     ParticleFrame { positions, attributes, notes: Vec::new() }
 }
 
-/// The sequence of the frames with their points, in USD as text and in binary, and in Alembic, with this provenance; and
-/// the notes.
-fn shots_with_points(up: UpAxis, provenance: &[(String, String)]) -> ([Vec<u8>; 3], Vec<String>) {
+/// The sequence of the frames with their points, with this provenance, and the notes.
+fn shot_with_points(up: UpAxis, provenance: &[(String, String)]) -> (Vec<u8>, Vec<String>) {
     let (shot, files) = gathered(up);
     let open = |index: usize| Ok(Cursor::new(&files[index]));
     let summary = |frame: &Frame| PointsSummary::of(&points(frame.code)).expect("points");
     let summaries = frames().iter().map(summary).collect();
     let points = SequencePoints::new(summaries, Box::new(|index| Ok(points(frames()[index].code))));
-    let (units, beside) = ((25.0, 0.01), Some(&points));
-    let (mut text, mut binary, mut archive) = (Vec::new(), Cursor::new(Vec::new()), Vec::new());
-    let notes = [
-        usda::write_sequence(&shot, beside, units, provenance, open, &mut text),
-        usdc::write_sequence(&shot, beside, units, provenance, open, &mut binary),
-        abc::write_sequence(&shot, beside, 25.0, provenance, open, &mut archive),
-    ];
-    let [first, others @ ..] = notes.map(|notes| notes.expect("written"));
-    assert!(others.iter().all(|notes| *notes == first), "{first:?} {others:?}");
-    ([text, binary.into_inner(), archive], first)
+    let mut archive = Vec::new();
+    let notes = abc::write_sequence(&shot, Some(&points), 25.0, provenance, open, &mut archive);
+    (archive, notes.expect("written"))
 }
 
-const FORMATS: [Format; 3] = [Format::Usda, Format::Usdc, Format::Abc];
-
 /// The frames of particles in a file: their times, in frames, and the particles.
-fn particles_in(format: Format, bytes: &[u8]) -> Result<Vec<(f64, ParticleFrame)>, Error> {
+fn particles_in(bytes: &[u8]) -> Result<Vec<(f64, ParticleFrame)>, Error> {
     let open: &OpenFurther = &|_| Err(io::ErrorKind::NotFound.into());
     let (kind, file, limits) =
-        (ProbedKind::Format(format), ContainerFile { file: &bytes, name: "", open }, Limits::default());
+        (ProbedKind::Format(Format::Abc), ContainerFile { file: &bytes, name: "", open }, Limits::default());
     let frames = container::frames(kind, &file, &limits)?;
     let frame = |(index, sample): (usize, &meniscus_formats::Sample)| {
         let packed = container::packed(kind, &file, &frames, index, &limits)?;
@@ -472,72 +327,51 @@ fn strings_of(values: &Values) -> Vec<&str> {
 #[test]
 fn points_beside_the_meshes_have_a_sample_per_frame() {
     for up in [UpAxis::Y, UpAxis::Z] {
-        let (shots, notes) = shots_with_points(up, &[]);
+        let (archive, notes) = shot_with_points(up, &[]);
         assert!(notes.len() == 2 && notes[1].starts_with("lost of the points is missing"), "{notes:?}");
-        for (format, bytes) in FORMATS.into_iter().zip(&shots) {
-            let found = particles_in(format, bytes).expect("points");
-            let times: Vec<f64> = found.iter().map(|(time, _)| (64.0 * time).round() / 64.0).collect();
-            // Frames 5 and 6 have as many points. In Alembic, all objects have samples at the same times.
-            let is_abc = format == Format::Abc;
-            let before_6 = 6.0 - 1.0 / 64.0;
-            let held = is_abc.then_some(BEFORE_9);
-            let expected: Vec<f64> =
-                [5.0, before_6, 6.0].into_iter().chain(held).chain([9.0, 10.0]).collect();
-            assert_eq!(times, expected);
-            for (time, frame) in &found {
-                let code = (*time + 1e-9).floor() as i64;
-                let wanted = points(if code == 8 { 6 } else { code });
-                let turned = |values: &[f64]| -> Vec<f64> {
-                    let turn = |&[x, y, z]: &[f64; 3]| {
-                        if is_abc && up == UpAxis::Z { [x, z, -y] } else { [x, y, z] }
-                    };
-                    values.as_chunks::<3>().0.iter().flat_map(turn).collect()
+        let found = particles_in(&archive).expect("points");
+        let times: Vec<f64> = found.iter().map(|(time, _)| (64.0 * time).round() / 64.0).collect();
+        // Frames 5 and 6 have as many points. All objects have samples at the same times.
+        assert_eq!(times, [5.0, 6.0 - 1.0 / 64.0, 6.0, BEFORE_9, 9.0, 10.0]);
+        for (time, frame) in &found {
+            let code = (*time + 1e-9).floor() as i64;
+            let wanted = points(if code == 8 { 6 } else { code });
+            let turned = |values: &[f64]| -> Vec<f64> {
+                let turn = |&[x, y, z]: &[f64; 3]| {
+                    if up == UpAxis::Z { [x, z, -y] } else { [x, y, z] }
                 };
-                let positions = |frame: &ParticleFrame| -> Vec<f64> {
-                    match &frame.positions {
-                        FilePositions::F64(positions) => positions.as_flattened().to_vec(),
-                        FilePositions::F32(positions) => {
-                            positions.iter().flatten().map(|&x| x.into()).collect()
-                        }
-                    }
-                };
-                assert_eq!(positions(frame), turned(&positions(&wanted)), "{format:?} {time}");
-                if code == 9 {
-                    continue;
+                values.as_chunks::<3>().0.iter().flat_map(turn).collect()
+            };
+            let positions = |frame: &ParticleFrame| -> Vec<f64> {
+                match &frame.positions {
+                    FilePositions::F64(positions) => positions.as_flattened().to_vec(),
+                    FilePositions::F32(positions) => positions.iter().flatten().map(|&x| x.into()).collect(),
                 }
-                let of_role = |frame: &ParticleFrame, role| -> Vec<f64> {
-                    let found = frame.attributes.iter().find(|attribute| attribute.role == Some(role));
-                    reals_of(&found.unwrap_or_else(|| panic!("{role:?}: {:?}", frame.attributes)).values)
-                };
-                for role in [AttributeRole::Id, AttributeRole::Radius] {
-                    assert_eq!(of_role(frame, role), of_role(&wanted, role), "{format:?} {time} {role:?}");
-                }
-                let velocity = of_role(&wanted, AttributeRole::Velocity);
-                assert_eq!(of_role(frame, AttributeRole::Velocity), turned(&velocity), "{format:?} {time}");
-                let named = |frame: &ParticleFrame, name: &str| {
-                    frame.attributes.iter().find(|attribute| attribute.name == name).cloned().expect("found")
-                };
-                let pair = named(frame, "pair");
-                assert_eq!(pair.arity, 2);
-                assert!(matches!(pair.values, Values::I64(_)), "{format:?}: the type is that of all frames");
-                assert_eq!(pair.values, named(&wanted, "pair").values);
-                let (water, wanted) = (named(frame, "water").values, named(&wanted, "water").values);
-                assert_eq!(strings_of(&water), strings_of(&wanted), "{format:?} {time}");
-                assert_eq!(frame.attributes.len(), 5, "{:?}", frame.attributes);
+            };
+            assert_eq!(positions(frame), turned(&positions(&wanted)), "{time}");
+            if code == 9 {
+                continue;
             }
+            let of_role = |frame: &ParticleFrame, role| -> Vec<f64> {
+                let found = frame.attributes.iter().find(|attribute| attribute.role == Some(role));
+                reals_of(&found.unwrap_or_else(|| panic!("{role:?}: {:?}", frame.attributes)).values)
+            };
+            for role in [AttributeRole::Id, AttributeRole::Radius] {
+                assert_eq!(of_role(frame, role), of_role(&wanted, role), "{time} {role:?}");
+            }
+            let velocity = of_role(&wanted, AttributeRole::Velocity);
+            assert_eq!(of_role(frame, AttributeRole::Velocity), turned(&velocity), "{time}");
+            let named = |frame: &ParticleFrame, name: &str| {
+                frame.attributes.iter().find(|attribute| attribute.name == name).cloned().expect("found")
+            };
+            let pair = named(frame, "pair");
+            assert_eq!(pair.arity, 2);
+            assert!(matches!(pair.values, Values::I64(_)), "the type is that of all frames");
+            assert_eq!(pair.values, named(&wanted, "pair").values);
+            let (water, wanted) = (named(frame, "water").values, named(&wanted, "water").values);
+            assert_eq!(strings_of(&water), strings_of(&wanted), "{time}");
+            assert_eq!(frame.attributes.len(), 5, "{:?}", frame.attributes);
         }
-        let text = String::from_utf8(shots[0].clone()).expect("UTF-8");
-        assert!(text.contains(
-            "\n    def Points \"surface_spray\"\n    {\n        float3[] extent.timeSamples = {\n"
-        ));
-        assert!(
-            text.ends_with("# end: 4 frames, 70011 vertices, 70008 faces, 8 points\n"),
-            "{}",
-            &text[text.len() - 80..]
-        );
-        assert_eq!(usda::read_attribute_names(text.as_bytes()), ["velocities"]);
-        // Only ids that are narrow in all frames are in the file twice.
-        assert!(!text.contains("primvars:id"), "{text}");
     }
 }
 
@@ -545,24 +379,15 @@ fn points_beside_the_meshes_have_a_sample_per_frame() {
 #[test]
 fn sequence_with_points_is_read_as_meshes() {
     let limits = Limits::default();
-    let (shots, _) = shots_with_points(UpAxis::Z, &provenance());
-    for (format, bytes) in FORMATS.into_iter().zip(&shots) {
-        let error = particles_in(format, bytes).expect_err("no particles");
-        assert!(error.to_string().contains("this is a mesh, not particles"), "{format:?}: {error}");
-    }
-    let [_, binary, archive] = &shots;
-    let (plain, _) = usdc_shot(UpAxis::Z);
-    let [plain, beside] = [&plain, binary].map(|bytes| usdc::UsdcLayer::read(bytes, &limits).expect("ours"));
-    assert_eq!((plain.codes(), plain.info()), (beside.codes(), beside.info()));
-    for index in 0..4 {
-        assert!(plain.frame(index).expect("a frame") == beside.frame(index).expect("a frame"), "{index}");
-    }
+    let (archive, _) = shot_with_points(UpAxis::Z, &provenance());
+    let error = particles_in(&archive).expect_err("no particles");
+    assert!(error.to_string().contains("this is a mesh, not particles"), "{error}");
     let (info, attributes) =
-        abc::read_sequence_info(&mut Cursor::new(archive)).expect("read").expect("a sequence");
+        abc::read_sequence_info(&mut Cursor::new(&archive)).expect("read").expect("a sequence");
     assert_eq!((info.frames, info.vertices, attributes), (4, 70_011, vec!["velocity".to_owned()]));
     let mesh = |time| {
-        let index = abc::read_times(archive).expect("times").iter().position(|known| *known == time / 25.0);
-        abc::read_sample(archive, index.expect("a sample"), &limits).expect("a mesh")
+        let index = abc::read_times(&archive).expect("times").iter().position(|known| *known == time / 25.0);
+        abc::read_sample(&archive, index.expect("a sample"), &limits).expect("a mesh")
     };
     assert!(mesh(5.0) == mesh(6.0 - 1.0 / 64.0) && mesh(5.0) != mesh(6.0));
 }
@@ -592,20 +417,18 @@ fn points_are_read_as_they_were_written() {
         assert_eq!(summary.count(), expected.count());
         let (shot, files) = gathered(UpAxis::Y);
         let points = SequencePoints::new(vec![summary], Box::new(move |_| Ok(read.clone())));
-        let (mut text, open) = (Vec::new(), |index: usize| Ok(Cursor::new(&files[index])));
-        let notes = usda::write_sequence(&shot[..1], Some(&points), (24.0, 1.0), &[], open, &mut text);
+        let (mut archive, open) = (Vec::new(), |index: usize| Ok(Cursor::new(&files[index])));
+        let notes = abc::write_sequence(&shot[..1], Some(&points), 24.0, &[], open, &mut archive);
         assert_eq!(notes.expect("written"), [""; 0]);
-        let text = String::from_utf8(text).expect("UTF-8");
-        text.split_once("    def Points ").expect("points").1.to_owned()
+        archive
     };
     let written = sequence(frame.clone());
-    assert!(written.contains("float[] primvars:displayOpacity.timeSamples"), "{written}");
     for format in PointFormat::ALL {
         for up in [UpAxis::Y, UpAxis::Z] {
             let (options, mut bytes) = (MeshOptions { up, ..MeshOptions::default() }, Vec::new());
             format.write(&frame, &options, &provenance()[..1], &mut bytes).expect("written");
             let read = format.read(&bytes, &Limits::default()).expect("our own file");
-            assert_eq!(sequence(read), written, "{format:?} {up:?}");
+            assert!(sequence(read) == written, "{format:?} {up:?}");
             for length in 0..bytes.len() {
                 let _ = format.read(&bytes[..length], &Limits::default());
             }
@@ -620,40 +443,8 @@ fn points_that_cannot_be_read_again_are_an_error() {
     let summary = |frame: &Frame| PointsSummary::of(&points(frame.code)).expect("points");
     let changed = |_: usize| Ok(points(10));
     let points = SequencePoints::new(frames().iter().map(summary).collect(), Box::new(changed));
-    let (units, points) = ((25.0, 1.0), Some(&points));
-    let outcomes = [
-        usda::write_sequence(&shot, points, units, &[], open, &mut Vec::new()),
-        usdc::write_sequence(&shot, points, units, &[], open, &mut Cursor::new(Vec::new())),
-        abc::write_sequence(&shot, points, 25.0, &[], open, &mut Vec::new()),
-    ];
-    for outcome in outcomes {
-        assert!(matches!(outcome, Err(Error::Invalid { .. })), "{outcome:?}");
-    }
-}
-
-#[test]
-fn usdc_sequence_contains_equal_arrays_once() {
-    let (shot, files) = gathered(UpAxis::Y);
-    let sequence_of = |count: i64| {
-        let frame = |code| SequenceFrame { code, ..shot[3].clone() };
-        let frames: Vec<SequenceFrame> = (0..count).map(frame).collect();
-        let mut bytes = Cursor::new(Vec::new());
-        let open = |_: usize| Ok(Cursor::new(&files[3]));
-        usdc::write_sequence(&frames, None, (24.0, 1.0), &[], open, &mut bytes).expect("written");
-        bytes.into_inner()
-    };
-    let (one, three) = (sequence_of(1), sequence_of(3));
-    assert!(three.len() < one.len() + 2000, "{} bytes, {} bytes", one.len(), three.len());
-    let limits = Limits::default();
-    let [one, three] =
-        [&one, &three].map(|bytes| usdc::UsdcLayer::read(bytes, &limits).expect("our own file"));
-    let expected = one.frame(0).expect("a frame");
-    assert_eq!(three.codes(), Some(&[0.0, 1.0, 2.0][..]));
-    for index in 0..3 {
-        assert!(three.frame(index).expect("a frame") == expected, "{index}");
-    }
-    let error = usdc::to_glb(sequence_of(1), &limits).expect_err("a sequence").to_string();
-    assert!(error.contains("this file is a sequence"), "{error}");
+    let outcome = abc::write_sequence(&shot, Some(&points), 25.0, &[], open, &mut Vec::new());
+    assert!(matches!(outcome, Err(Error::Invalid { .. })), "{outcome:?}");
 }
 
 #[test]
@@ -662,7 +453,7 @@ fn invalid_sequences_are_errors() {
     let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };
     let both = |shot: &[SequenceFrame]| {
         let glb = gltf::write_sequence(shot, 24.0, &[], open, &mut Vec::new());
-        (glb, usda::write_sequence(shot, None, (24.0, 1.0), &[], open, &mut Vec::new()).map(|_| ()))
+        (glb, abc::write_sequence(shot, None, 24.0, &[], open, &mut Vec::new()).map(|_| ()))
     };
     // Frames with the same time, and frames with different up axes.
     shot[1].code = 5;
@@ -676,8 +467,7 @@ fn invalid_sequences_are_errors() {
     files[3].truncate(2000);
     let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };
     assert!(gltf::write_sequence(&shot, 24.0, &[], open, &mut Vec::new()).is_err());
-    assert!(usda::write_sequence(&shot, None, (24.0, 1.0), &[], open, &mut Vec::new()).is_err());
-    assert!(usdc::write_sequence(&shot, None, (24.0, 1.0), &[], open, &mut Cursor::new(Vec::new())).is_err());
+    assert!(abc::write_sequence(&shot, None, 24.0, &[], open, &mut Vec::new()).is_err());
     // A sequence with only empty frames is an empty scene.
     let (shot, files) = gathered(UpAxis::Y);
     let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&files[2])) };
@@ -712,8 +502,7 @@ fn other_and_damaged_files_are_not_frames() {
             let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
             let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&broken)) };
             let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut Vec::new());
-            let _ = usda::write_sequence(&shot, None, (24.0, 1.0), &[], open, &mut Vec::new());
-            let _ = usdc::write_sequence(&shot, None, (24.0, 1.0), &[], open, &mut Cursor::new(Vec::new()));
+            let _ = abc::write_sequence(&shot, None, 24.0, &[], open, &mut Vec::new());
         }
     }
 }
@@ -732,37 +521,13 @@ fn triangle(attributes: &[VertexAttribute]) -> Vec<u8> {
     bytes
 }
 
-/// The .usda sequence of this single frame, and its notes.
-fn usda_of(bytes: &[u8]) -> Result<(String, Vec<String>), Error> {
+/// The .abc sequence of this single frame, and its notes.
+fn sequence_of(bytes: &[u8]) -> Result<(Vec<u8>, Vec<String>), Error> {
     let file = GlbFrame::read(&mut Cursor::new(bytes))?;
     let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
-    let mut text = Vec::new();
-    let notes = usda::write_sequence(&shot, None, (24.0, 1.0), &[], |_| Ok(Cursor::new(bytes)), &mut text)?;
-    Ok((String::from_utf8(text).expect("UTF-8"), notes))
-}
-
-#[test]
-fn usda_properties_have_unique_names() {
-    let values = [1.0, 2.0, 3.0];
-    let names = ["_heat", "heat", "__heat", "2nd", "_2nd", "normals", "displayColor", "x"];
-    let attributes = names.map(|name| of_numbers(name, None, 1, &values));
-    let (text, notes) = usda_of(&triangle(&attributes)).expect("a sequence");
-    let properties: Vec<&str> =
-        text.lines().filter_map(|line| line.trim().strip_suffix(".timeSamples = {")).collect();
-    let mut names: Vec<&str> = properties.iter().filter_map(|name| name.split(' ').nth(1)).collect();
-    names.sort_unstable();
-    let primvars: Vec<&str> = names.iter().filter_map(|name| name.strip_prefix("primvars:")).collect();
-    assert_eq!(
-        primvars,
-        ["_2nd", "_2nd_2", "__heat", "_heat", "displayColor_2", "heat", "normals_2", "x"],
-        "{notes:?}"
-    );
-    names.dedup();
-    assert_eq!(names.len(), properties.len());
-    for note_start in ["primvars:_2nd_2 ", "primvars:displayColor_2 ", "primvars:normals_2 "] {
-        assert!(notes.iter().any(|note| note.contains(note_start)), "{note_start}: {notes:?}");
-    }
-    assert_eq!(notes.len(), 3, "{notes:?}");
+    let mut archive = Vec::new();
+    let notes = abc::write_sequence(&shot, None, 24.0, &[], |_| Ok(Cursor::new(bytes)), &mut archive)?;
+    Ok((archive, notes))
 }
 
 #[test]
@@ -782,11 +547,8 @@ fn sequences_name_attributes_as_single_frames_do() {
     let names = r#""names":{"COLOR_0":"color","_TEMPERATURE":"Temperature","_TEMPERATURE_2":"temperature"}"#;
     assert!(json.contains(names), "{json}");
 
-    let file = GlbFrame::read(&mut Cursor::new(&glb)).expect("our own file");
-    let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
-    let open = |_: usize| Ok(Cursor::new(&glb));
-    let (mut frame, mut sequence) = (Vec::new(), Vec::new());
-    abc::write_sequence(&shot, None, 24.0, &[], open, &mut sequence).expect("written");
+    let (sequence, _) = sequence_of(&glb).expect("a sequence");
+    let mut frame = Vec::new();
     let mesh = MeshView {
         positions: &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
         normals: &[[0.0, 0.0, 1.0]; 3],
@@ -801,11 +563,6 @@ fn sequences_name_attributes_as_single_frames_do() {
         assert!(["color", "Temperature", "temperature_2", "age"].into_iter().all(has));
         assert!(!has("Cd") && !has("temperature"));
     }
-    let (text, notes) = usda_of(&glb).expect("a sequence");
-    for name in ["displayColor", "Temperature", "temperature_2", "age"] {
-        assert!(text.contains(&format!(" primvars:{name}.timeSamples")), "{name}: {notes:?}");
-    }
-    assert_eq!(notes.len(), 1, "{notes:?}");
 }
 
 #[test]
@@ -830,7 +587,7 @@ fn accelerations_are_a_property_of_usd_meshes_and_an_attribute_elsewhere() {
         .write_mesh(&mesh, &MeshOptions::default(), &[], &mut usdc_frame)
         .expect("writing to memory");
     let layer = usdc::UsdcLayer::read(&usdc_frame, &limits).expect("our own file");
-    assert!(layer.frame(0).expect("our own file").attributes.iter().any(is_acceleration));
+    assert!(layer.frame().expect("our own file").attributes.iter().any(is_acceleration));
 
     let mut abc_frame = Vec::new();
     OutputFormat::Abc
@@ -842,31 +599,19 @@ fn accelerations_are_a_property_of_usd_meshes_and_an_attribute_elsewhere() {
     let (of_usdc, _) = usdc::to_glb(&usdc_frame, &limits).expect("converted");
     let (of_abc, _) = abc::to_glb(&abc_frame, &limits).expect("converted");
     for (glb, name) in [(triangle(&attributes), "accel"), (of_usdc, "acceleration"), (of_abc, "accel")] {
-        let (text, notes) = usda_of(&glb).expect("a sequence");
-        assert_eq!(numbers(samples(&text, "vector3f[] accelerations")[0].1).len(), values.len());
-        assert!(!text.contains("primvars:") && notes.is_empty(), "{notes:?}");
-        let file = GlbFrame::read(&mut Cursor::new(&glb)).expect("our own file");
-        let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
-        let open = |_: usize| Ok(Cursor::new(&glb));
-        let mut bytes = Cursor::new(Vec::new());
-        usdc::write_sequence(&shot, None, (24.0, 1.0), &[], open, &mut bytes).expect("written");
-        let bytes = bytes.into_inner();
-        let layer = usdc::UsdcLayer::read(&bytes, &limits).expect("our own file");
-        assert!(layer.frame(0).expect("our own file").attributes.iter().any(is_acceleration));
-        let mut archive = Vec::new();
-        abc::write_sequence(&shot, None, 24.0, &[], open, &mut archive).expect("written");
+        let (archive, notes) = sequence_of(&glb).expect("a sequence");
+        assert!(notes.is_empty(), "{notes:?}");
         let header = [&[name.len() as u8], name.as_bytes()].concat();
         assert!(archive.windows(header.len()).any(|window| window == header), "{name}");
     }
 }
 
 #[test]
-fn strings_missing_in_a_usda_sequence_get_a_note() {
+fn strings_missing_in_a_sequence_get_a_note() {
     let table = ["a".to_owned()];
     let values = VertexValues::Strings { table: &table, indices: &[0, 0, -1] };
-    let (text, notes) = usda_of(&triangle(&[VertexAttribute { name: "kind", role: None, arity: 1, values }]))
+    let (_, notes) = sequence_of(&triangle(&[VertexAttribute { name: "kind", role: None, arity: 1, values }]))
         .expect("a sequence");
-    assert!(!text.contains("primvars:"), "{text}");
     assert!(
         notes.len() == 1 && notes[0].starts_with("_KIND is missing in the sequence: its values are strings"),
         "{notes:?}"
@@ -876,14 +621,14 @@ fn strings_missing_in_a_usda_sequence_get_a_note() {
 #[test]
 fn vertex_indices_out_of_range_are_an_error() {
     let whole = triangle(&[]);
-    assert!(usda_of(&whole).is_ok());
+    assert!(sequence_of(&whole).is_ok());
     // The indices are the last data before the padding to four bytes.
     let corners = [0u16, 1, 2].map(u16::to_le_bytes).concat();
     let at = whole.windows(6).rposition(|window| window == corners).expect("the corners");
     for (corner, index) in [(3u16, 0), (u16::MAX, 4)] {
         let mut broken = whole.clone();
         broken[at + index..][..2].copy_from_slice(&corner.to_le_bytes());
-        let error = usda_of(&broken).expect_err("no such vertex");
+        let error = sequence_of(&broken).expect_err("no such vertex");
         assert!(
             error.to_string().contains(&format!("vertex index {corner}, but the mesh has 3 vertices")),
             "{error}"
@@ -896,7 +641,7 @@ fn vertex_indices_out_of_range_are_an_error() {
         |count: u32| format!("\"componentType\":5126,\"count\":{count},\"type\":\"SCALAR\"").into_bytes();
     let at = whole.windows(scalar(3).len()).position(|window| window == scalar(3)).expect("the accessor");
     let broken = [&whole[..at], &scalar(2), &whole[at + scalar(2).len()..]].concat();
-    let error = usda_of(&broken).expect_err("a value missing");
+    let error = sequence_of(&broken).expect_err("a value missing");
     assert!(error.to_string().contains("the positions and _HEAT do not match"), "{error}");
 }
 
@@ -923,14 +668,7 @@ fn summary_of_a_sequence_needs_only_the_ends_of_its_file() {
     let open = |index: usize| Ok(Cursor::new(&files[index]));
     let mut archive = Vec::new();
     abc::write_sequence(&shot, None, 25.0, &provenance(), open, &mut archive).expect("written");
-    let (layer, _) = usdc_shot(UpAxis::Y);
     let counts = frames().iter().map(|frame| u64::from(frame.sides)).sum::<u64>();
-
-    let mut file = Counted(Cursor::new(&layer), 0);
-    let (info, names) = usdc::read_layer_info(&mut file, &Limits::default()).expect("a sequence");
-    assert_eq!((info.frames, info.vertices, info.faces), (Some(4), counts + 3, counts));
-    assert_eq!(names, ["velocities"]);
-    assert!(file.1 < layer.len() / 20, "{} of {} bytes", file.1, layer.len());
 
     let mut file = Counted(Cursor::new(&archive), 0);
     let (info, names) = abc::read_sequence_info(&mut file).expect("an archive").expect("a sequence");
@@ -939,11 +677,7 @@ fn summary_of_a_sequence_needs_only_the_ends_of_its_file() {
     assert!(file.1 < archive.len() / 20, "{} of {} bytes", file.1, archive.len());
 
     // A truncated file is an error, wherever it ends.
-    for bytes in [&layer, &archive] {
-        for end in [10, 90, bytes.len() / 2, bytes.len() - 1] {
-            let mut file = Cursor::new(&bytes[..end]);
-            assert!(usdc::read_layer_info(&mut file, &Limits::default()).is_err());
-            assert!(abc::read_sequence_info(&mut file).is_err());
-        }
+    for end in [10, 90, archive.len() / 2, archive.len() - 1] {
+        assert!(abc::read_sequence_info(&mut Cursor::new(&archive[..end])).is_err());
     }
 }

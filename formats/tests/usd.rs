@@ -160,15 +160,13 @@ fn usdc_round_trips_exactly() {
             let bytes = usdc_bytes(&mesh, has_quads, gltf::UpAxis::Z);
             let layer = usdc::UsdcLayer::read(&bytes, &limits).expect("our own file");
             let faces = mesh.triangles.len() - if has_quads { mesh.triangles.len() / 2 } else { 0 };
-            let info =
-                usdc::LayerInfo { vertices: mesh.positions.len() as u64, faces: faces as u64, frames: None };
-            assert_eq!((layer.info(), layer.codes()), (info, None));
-            let usdc::UsdcFrame { mesh: found, attributes } = layer.frame(0).expect("our own file");
+            let info = usdc::LayerInfo { vertices: mesh.positions.len() as u64, faces: faces as u64 };
+            assert_eq!(layer.info(), info);
+            let usdc::UsdcFrame { mesh: found, attributes } = layer.frame().expect("our own file");
             assert_eq!((&found.positions, &found.normals), (&mesh.world(), &mesh.normals));
             assert_eq!(found.triangles, if has_quads { fans(&mesh) } else { mesh.triangles.clone() });
             let read_external = |_: &str| Err(std::io::ErrorKind::NotFound.into());
             assert_eq!(read_mesh(&bytes, "a.usdc", &limits, &read_external).expect("our own file"), found);
-            assert!(layer.frame(1).is_err());
 
             let values = |name: &str, arity: usize| {
                 let found = attributes.iter().find(|attribute| attribute.name == name).expect(name);
@@ -219,7 +217,7 @@ fn usdc_attributes_of_every_width_round_trip() {
     let (format, options) = (OutputFormat::Usdc, MeshOptions::default());
     format.write_mesh(&mesh.view(&attributes), &options, &[], &mut bytes).expect("writing to memory");
     let layer = usdc::UsdcLayer::read(&bytes, &Limits::default()).expect("our own file");
-    let found = layer.frame(0).expect("our own file").attributes;
+    let found = layer.frame().expect("our own file").attributes;
     for (found, expected) in found.iter().zip(&attributes) {
         assert_eq!((&*found.name, found.arity), (expected.name, expected.arity));
         match (&found.values, expected.values) {
@@ -260,7 +258,7 @@ fn usdc_becomes_the_glb_of_the_same_mesh() {
 fn truncated_and_damaged_usdc_is_an_error() {
     let mesh = torus(9, 7, FAR);
     let (bytes, limits) = (usdc_bytes(&mesh, true, gltf::UpAxis::Y), Limits::default());
-    let read = |bytes: &[u8]| usdc::UsdcLayer::read(bytes, &limits)?.frame(0);
+    let read = |bytes: &[u8]| usdc::UsdcLayer::read(bytes, &limits)?.frame();
     let sampled = |bytes: &[u8]| usdc::read_sampled_properties(&mut Cursor::new(bytes), &limits);
     for length in 0..bytes.len() {
         let error = read(&bytes[..length]).expect_err("truncated");

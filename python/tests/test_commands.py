@@ -58,7 +58,7 @@ def test_convert_repeats_options_that_name_files(frame, tmp_path):
     inputs.mkdir()
     for number in (1, 2):
         shutil.copy(frame, inputs / f"frame.{number}{frame.suffix}")
-    files = [tmp_path / "shot.glb", tmp_path / "shot.usdc"]
+    files = [tmp_path / "shot.glb", tmp_path / "shot.abc"]
     pm.convert(inputs, tmp_path / "out", format="glb", sequence=files, fps=24)
     assert all(file.stat().st_size > 1000 for file in files)
 

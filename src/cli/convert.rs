@@ -24,7 +24,7 @@ use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::simd::level_warning;
 
 use super::CommandOutcome;
-use super::args::{ConvertArgs, FormatArgs, FrameShard, OptionSet, ShardChoice};
+use super::args::{ConvertArgs, FrameShard, OptionSet, ShardChoice};
 use super::batch::{Batch, UsdStageWriter};
 use super::console::Console;
 use super::destination::{Destination, OutFolder, StandardInput};
@@ -83,10 +83,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         Job::Particles
     } else {
         let job = surface_job(&selection, args.max_deviation, &args.method)?;
-        // --meters-per-unit also affects a USD sequence file: with such a file, the option is not reported as
-        // ignored.
-        let meters_per_unit = formats.meters_per_unit.filter(|_| !SequenceOutputs::has_usd(args));
-        warn_of_ignored(&args.method, &FormatArgs { meters_per_unit, ..formats }, console);
+        warn_of_ignored(&args.method, &formats, console);
         if let Some(warning) = level_warning() {
             console.warning(warning);
         }

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 
 use crate::pipeline::{
-    FrameFile, OutputFormat, OutputOptions, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource,
-    are_same_file, check_sequence_path, is_sequence_file, write_sequence_file,
+    FrameFile, OutputFormat, OutputOptions, SequenceFormat, SequenceReport, SequenceSource, are_same_file,
+    check_sequence_path, is_sequence_file, write_sequence_file,
 };
 
 use super::CommandOutcome;
@@ -33,11 +33,7 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Com
     let sequence = only_sequence(frames, "a sequence file holds one sequence")?;
     let source = |file: &FrameFile| SequenceSource { path: file.path.clone(), number: file.number() };
     let sources: Vec<SequenceSource> = sequence.frames.iter().map(source).collect();
-    if args.meters_per_unit.is_some() && matches!(format, SequenceFormat::Glb | SequenceFormat::Abc) {
-        console.warning("--meters-per-unit has no effect: it is for .usda and .usdc");
-    }
-    let options = SequenceOptions { fps: args.fps, meters_per_unit: args.meters_per_unit.unwrap_or(1.0) };
-    let shot = thread_pool(None)?.install(|| write_sequence_file(&args.out, format, &sources, options))?;
+    let shot = thread_pool(None)?.install(|| write_sequence_file(&args.out, format, &sources, args.fps))?;
     warn_gaps(&args.out, &sources, console);
     report_sequence(&args.out, &shot, console);
     Ok(if shot.left_out.is_empty() { CommandOutcome::Done } else { CommandOutcome::SomeFailed })
@@ -46,9 +42,8 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Com
 /// # Errors
 /// If the name does not end like that of a sequence file.
 fn format_of(path: &Path) -> Result<SequenceFormat> {
-    SequenceFormat::of(path).with_context(|| {
-        format!("{}: the name of a sequence file must end in .glb, .usda, .usdc or .abc", path.display())
-    })
+    SequenceFormat::of(path)
+        .with_context(|| format!("{}: the name of a sequence file must end in .glb or .abc", path.display()))
 }
 
 /// These files without `output`: a pattern may match the old sequence file, which the new one replaces.
@@ -113,7 +108,7 @@ fn report_sequence(path: &Path, shot: &SequenceReport, console: &mut Console) {
 /// The sequence files to make after a conversion.
 pub(super) struct SequenceOutputs {
     files: Vec<(PathBuf, SequenceFormat)>,
-    options: SequenceOptions,
+    fps: f64,
     /// Whether only some of the frames were selected. Gaps in the frame numbers then cause no warning.
     are_picked: bool,
 }
@@ -150,14 +145,7 @@ impl SequenceOutputs {
             bail!("--fps is for a sequence file or a stage: give --sequence or --stage as well");
         }
         let fps = fps.or(known_fps).unwrap_or(FPS);
-        let options = SequenceOptions { fps, meters_per_unit: outputs.meters_per_unit };
-        Ok(SequenceOutputs { files, options, are_picked: args.frames.is_some() })
-    }
-
-    /// Whether a sequence file is written whose metres per unit count.
-    pub(super) fn has_usd(args: &ConvertArgs) -> bool {
-        let mut formats = args.sequence.iter().map(|path| SequenceFormat::of(path));
-        formats.any(|format| matches!(format, Some(SequenceFormat::Usda | SequenceFormat::Usdc)))
+        Ok(SequenceOutputs { files, fps, are_picked: args.frames.is_some() })
     }
 
     /// The files.
@@ -184,7 +172,7 @@ impl SequenceOutputs {
                 ));
                 continue;
             }
-            match write_sequence_file(path, *format, frames, self.options) {
+            match write_sequence_file(path, *format, frames, self.fps) {
                 Ok(shot) => {
                     if !self.are_picked {
                         warn_gaps(path, frames, console);

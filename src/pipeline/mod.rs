@@ -139,8 +139,8 @@ pub use records::record_line::{
     SequenceKey, SharedSettings, UnfinishedRecord, UnfinishedState,
 };
 pub use records::sequence_file::{
-    SEQUENCE_POINTS, SequenceError, SequenceFormat, SequenceOptions, SequenceReport, SequenceSource,
-    check_sequence_path, common_step, is_sequence_file, write_sequence_file,
+    SEQUENCE_POINTS, SequenceError, SequenceFormat, SequenceReport, SequenceSource, check_sequence_path,
+    common_step, is_sequence_file, write_sequence_file,
 };
 pub(crate) use records::usd_stage::USD_STAGE_FRAMES;
 pub use records::usd_stage::{

@@ -1,6 +1,6 @@
 """Checks the extension of Blender: imports of sequences, finished and growing, and conversions in the background.
 
-    imported      a stage, a shot in .abc and .usdc, .vdb: each frame has the vertices or bounds of its .ply; a missing
+    imported      a stage, a shot in .abc, .vdb: each frame has the vertices or bounds of its .ply; a missing
                   frame holds the previous one, and the panel says so
     times         offsets, and rates of scenes that differ from the rate of the sequence
     refused       a single frame, a stage of volumes: the message says what to do
@@ -62,7 +62,6 @@ def main():
     for label, examine in (
         ("stage.usda", lambda: imported("stage.usda")),
         ("shot.abc", lambda: imported("shot.abc")),
-        ("shot.usdc", lambda: imported("shot.usdc")),
         ("dam.0001.vdb", lambda: imported("out/dam.0001.vdb")),
         ("presets", presets),
         ("refused", refused),
@@ -103,7 +102,7 @@ def prepare():
         shutil.copy(OWN / f"dam.{number:04}.bgeo", frames)
     pymeniscus.convert(
         frames, FOLDER / "out", format="usdc,vdb,ply,glb", attributes="v", fps=FPS, stage=FOLDER / "stage.usda",
-        sequence=[FOLDER / "shot.abc", FOLDER / "shot.usdc"],
+        sequence=[FOLDER / "shot.abc"],
     )
     pymeniscus.convert(frames, FOLDER / "volumes", format="vdb", stage=FOLDER / "volumes.usda")
 
@@ -212,7 +211,7 @@ def presets():
 def refused():
     faults = []
     (FOLDER / "other.usda").write_text("#usda 1.0\n")
-    (FOLDER / "truncated.usdc").write_bytes((FOLDER / "shot.usdc").read_bytes()[:5000])
+    (FOLDER / "truncated.usdc").write_bytes((FOLDER / "out/dam.0001.usdc").read_bytes()[:5000])
     for name, words in (
         ("out/dam.0001.usdc", "--stage"), ("volumes.usda", ".vdb files"), ("out/dam.0001.glb", "is not a stage"),
         ("missing.usda", "missing.usda: No such file"), ("other.usda", "other.usda"), ("truncated.usdc", "not complete"),

@@ -161,7 +161,7 @@ def moving(check):
         (folder / f"moving.{frame:03}.csv").write_text("\n".join(rows) + "\n")
     for label, more in (("moving", []), ("moving-quads", ["--quads"])):
         out = OUT / label
-        names = ("shot.glb", "shot.usda", "shot.usdc", "shot.abc")
+        names = ("shot.glb", "shot.abc")
         shots = [word for name in names for word in ("--sequence", out / name)]
         options = ["--voxel-size", "0.05", "--attributes", "velocity", "--up", "z", *shots, *more]
         out.mkdir(parents=True, exist_ok=True)
@@ -183,7 +183,7 @@ def gliding(check):
         (folder / f"gliding.{frame:03}.csv").write_text("\n".join(rows) + "\n")
     out = OUT / "gliding"
     out.mkdir(parents=True, exist_ok=True)
-    shots = ["--sequence", out / "shot.usdc", "--sequence", out / "shot.abc", "--stage", out / "stage.usda"]
+    shots = ["--sequence", out / "shot.abc", "--stage", out / "stage.usda"]
     options = ["--voxel-size", str(glide.VOXEL_SIZE), "--attributes", "velocity", "--up", "z", "--fps", str(glide.FPS)]
     reads(check, "gliding", folder, [*options, *shots], ["glb", "ply", "usdc"])
 

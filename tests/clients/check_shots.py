@@ -3,13 +3,12 @@
     frame         the .glb, the .stl, the .usda and the .abc of one frame: number of vertices or
                   triangles, bounds and volume
     shot.glb      one object for each frame; only the object of the current frame has a scale other than 0
-    shot.usda     one object, whose mesh is that of the current frame
     shot.abc      one object, whose mesh is that of the current frame, with velocities
-    gliding       shot.usdc, shot.abc and the stage: the mesh between two frames is that of the first, and motion
+    gliding       shot.abc and the stage: the mesh between two frames is that of the first, and motion
                   blur by the velocities is as long as the motion during the exposure
     volumes       a stage of level sets: one Volume, whose surface is that of the current frame, and which is rendered:
                   shots_volume.png
-    rendered      shots_glb.png, shots_usda.png, shots_abc.png: the last frame of each shot; all show the same
+    rendered      shots_glb.png, shots_abc.png: the last frame of each shot; all show the same
 
 Runs in separate Pythons, with Blender 4.5 and 5.0 as a module.
 """
@@ -38,9 +37,8 @@ def main():
             path = last.with_suffix(f".{kind}")
             check.line(f"{label}/{path.name}", *attempted(frame, path, last))
         check.line(f"{label}/shot.glb", *attempted(shot, folder, "glb"))
-        check.line(f"{label}/shot.usda", *attempted(shot, folder, "usda"))
         check.line(f"{label}/shot.abc", *attempted(shot, folder, "abc"))
-    for name in ("shot.usdc", "shot.abc", "stage.usda"):
+    for name in ("shot.abc", "stage.usda"):
         check.line(f"gliding/{name}", *attempted(glided, OUT / "gliding" / name))
     check.line("moving-volumes/stage.usda", *attempted(volumes, OUT / "moving-volumes" / "stage.usda", OUT / "moving"))
     check.line("pictures", *attempted(pictures, OUT / "moving"))
@@ -62,7 +60,6 @@ def imported(path, kind="MESH"):
         ".glb": lambda: bpy.ops.import_scene.gltf(filepath=str(path)),
         ".stl": lambda: bpy.ops.wm.stl_import(filepath=str(path)),
         ".usda": lambda: bpy.ops.wm.usd_import(filepath=str(path)),
-        ".usdc": lambda: bpy.ops.wm.usd_import(filepath=str(path)),
         ".abc": lambda: bpy.ops.wm.alembic_import(filepath=str(path)),
     }[path.suffix]()
     bpy.context.view_layer.update()
@@ -128,7 +125,7 @@ def shot(folder, kind):
     codes = [int(ply.stem.split(".")[1]) for ply in plys]
     faults, seen = [], []
     for code, ply in zip(codes, plys):
-        # A .glb starts at frame 1 of the scene; in USD and Alembic, frames keep their numbers.
+        # A .glb starts at frame 1 of the scene; in Alembic, frames keep their numbers.
         bpy.context.scene.frame_set(code - codes[0] + 1 if kind == "glb" else code)
         faults += [f"frame {code}: {fault}" for fault in faults_of(objects, ply)]
         seen.append(len(shown(objects)[0]))
@@ -273,16 +270,16 @@ def pictures(folder):
     """Renders the last frame of each shot, all with the same camera."""
     points, _ = read_ply(sorted(folder.glob("moving.*.ply"))[-1])
     images = {}
-    for kind, time in (("glb", 4), ("usda", 4), ("abc", 4)):
+    for kind, time in (("glb", 4), ("abc", 4)):
         imported(folder / f"shot.{kind}")
         bpy.context.scene.frame_set(time)
         stage(Matrix(), points.min(axis=0), points.max(axis=0))
         images[kind] = render(WORK / f"shots_{kind}.png")
     faults = [f"shots_{kind}.png shows nothing" for kind, image in images.items() if image.std() < 0.05]
-    difference = max(abs(images["glb"] - images[kind]).mean() for kind in ("usda", "abc"))
+    difference = abs(images["glb"] - images["abc"]).mean()
     if difference > PICTURE_DIFFERENCE_MAX:
         faults.append(f"the pictures differ by {difference:.4f} in the mean")
-    return f"difference {difference:.4f} in the mean: {WORK.name}/shots_{{glb,usda,abc}}.png", faults
+    return f"difference {difference:.4f} in the mean: {WORK.name}/shots_{{glb,abc}}.png", faults
 
 
 if __name__ == "__main__":

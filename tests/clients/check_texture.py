@@ -1,9 +1,9 @@
 """Checks that other programs find the texture coordinates of a surface at its vertices.
 
-    usd           OpenUSD: each .usdc, and the sequence file shot.usda
+    usd           OpenUSD: each .usdc
     vtk           VTK, ParaView's library: each .vtp
     alembic       the Alembic library: each .abc, and the sequence file shot.abc
-    blender       Blender: each .usdc, .abc, .glb and .obj, and both sequence files, frame by frame
+    blender       Blender: each .usdc, .abc, .glb and .obj, and the sequence file, frame by frame
 
 The coordinates of a ball of particles are those of the .obj. The words after the name of this script choose the programs:
 it runs in separate Pythons, each with some of them.
@@ -30,9 +30,8 @@ def main():
     (FOLDER / "in").mkdir(parents=True)
     for number in NUMBERS:
         written(FOLDER / f"in/ball.{number}.npz", number)
-    shots = [word for name in ("shot.usda", "shot.abc") for word in ("--sequence", FOLDER / name)]
     options = ("--format", "obj,usdc,abc,glb,vtp", "--spacing", SPACING, "--attributes", "uv", "--fps", FPS, "--up", "z")
-    status, said, _ = convert([FOLDER / "in"], FOLDER / "out", *options, *shots)
+    status, said, _ = convert([FOLDER / "in"], FOLDER / "out", *options, "--sequence", FOLDER / "shot.abc")
     check.line("convert", f"status {status}", [] if status == 0 else [said.strip()])
     expected = {number: of_obj(path(number, "obj")) for number in NUMBERS}
     for program in sys.argv[1:]:
@@ -92,17 +91,16 @@ def usd(check, expected):
     from pxr import Usd, UsdGeom, UsdValidation
 
     for number in NUMBERS:
-        for name, time in ((path(number, "usdc"), Usd.TimeCode.Default()), (FOLDER / "shot.usda", number)):
-            stage = Usd.Stage.Open(str(name))
-            mesh = UsdGeom.Mesh(stage.GetDefaultPrim().GetPrimAtPath("surface"))
-            corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(time)).reshape(-1, 3)
-            uv = np.array(UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").Get(time))[corners]
-            points = np.array(mesh.GetPointsAttr().Get(time))
-            compare(check, f"usd, {name.name} at {number}", expected[number], points[corners], uv)
-            validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
-            found = UsdValidation.ValidationContext(validators).Validate(stage)
-            errors = [error.GetErrorAsString() for error in found]
-            check.line(f"usd, {name.name}", f"{len(validators)} validators, {len(errors)} errors", errors)
+        stage = Usd.Stage.Open(str(path(number, "usdc")))
+        mesh = UsdGeom.Mesh(stage.GetDefaultPrim().GetPrimAtPath("surface"))
+        corners = np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
+        uv = np.array(UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").Get())[corners]
+        points = np.array(mesh.GetPointsAttr().Get())
+        compare(check, f"usd, ball.{number}.usdc", expected[number], points[corners], uv)
+        validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+        found = UsdValidation.ValidationContext(validators).Validate(stage)
+        errors = [error.GetErrorAsString() for error in found]
+        check.line(f"usd, ball.{number}.usdc", f"{len(validators)} validators, {len(errors)} errors", errors)
 
 
 def in_vtk(check, expected):
@@ -142,13 +140,13 @@ def blender(check, expected):
     from check_blender import positions_of, to_log, transformed
 
     importers = {
-        "usdc": bpy.ops.wm.usd_import, "usda": bpy.ops.wm.usd_import, "abc": bpy.ops.wm.alembic_import,
+        "usdc": bpy.ops.wm.usd_import, "abc": bpy.ops.wm.alembic_import,
         "glb": bpy.ops.import_scene.gltf,
         "obj": lambda filepath: bpy.ops.wm.obj_import(filepath=filepath, forward_axis="Y", up_axis="Z"),
     }
     to_log(WORK / "blender_texture.log")
     files = [(path(number, kind), [number]) for number in NUMBERS for kind in ("usdc", "abc", "glb", "obj")]
-    for file, frames in [*files, *((FOLDER / f"shot.{kind}", NUMBERS) for kind in ("usda", "abc"))]:
+    for file, frames in [*files, (FOLDER / "shot.abc", NUMBERS)]:
         bpy.ops.wm.read_factory_settings(use_empty=True)
         bpy.context.scene.render.fps = FPS
         importers[file.suffix[1:]](filepath=str(file))

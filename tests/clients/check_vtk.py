@@ -1,12 +1,11 @@
 """Checks that VTK, ParaView's library, reads the .vtp and .stl files of a sequence, and that OpenUSD reads
-its .usda and .usdc files, and the whole sequence in one file.
+its .usda and .usdc files.
 
     .vtp          the number of points and polygons, the points of the .ply to the last bit, outward normals,
                   the attributes, the generator of the file; quads if requested
     .stl          the number of triangles, the bounds and the volume of the .ply
     .usda         the same points; up axis, unit, extent, normals and velocities in USD's own properties
     .usdc         every value is that of the .usda; the file is at most a tenth larger than the one by OpenUSD
-    shot.usda     a sample for each frame, with its mesh; the same for shot.usdc
 """
 
 import numpy as np
@@ -26,8 +25,6 @@ def main():
             for examine, suffix in ((vtp, ".vtp"), (stl, ".stl"), (usda, ".usda"), (usdc, ".usdc")):
                 path = ply.with_suffix(suffix)
                 check.line(f"{label}/{path.name}", *attempted(examine, path, frame, points, triangles))
-        for name in ("shot.usda", "shot.usdc"):
-            check.line(f"{label}/{name}", *attempted(shot, OUT / label, name))
     check.end()
 
 
@@ -109,19 +106,18 @@ def usda(path, frame, points, triangles):
 
 def usdc(path, frame, points, triangles):
     said, faults = usda(path, frame, points, triangles)
-    return said, faults + layer_faults(path, is_frame=True)
+    return said, faults + layer_faults(path)
 
 
-def layer_faults(path, is_frame=False):
+def layer_faults(path):
     """Faults of a .usdc: differences from the .usda, messages of OpenUSD's validators, and a size that is too
     large."""
     layer, text = Sdf.Layer.FindOrOpen(str(path)), Sdf.Layer.FindOrOpen(str(path.with_suffix(".usda")))
     found, expected = values_of(layer), values_of(text)
-    faults = sample_faults(found) if is_frame else []
-    if is_frame:
-        # What only stages need: samples, and a translation even if it is zero.
-        is_extra = lambda name: name.endswith(SAMPLE) or "xformOp:translate" in name and name not in expected
-        found = {name: value for name, value in found.items() if not is_extra(name)}
+    faults = sample_faults(found)
+    # What only stages need: samples, and a translation even if it is zero.
+    is_extra = lambda name: name.endswith(SAMPLE) or "xformOp:translate" in name and name not in expected
+    found = {name: value for name, value in found.items() if not is_extra(name)}
     faults += [f"{name} is not that of the .usda" for name in sorted(found.keys() | expected.keys())
               if name not in found or name not in expected or not is_same(found[name], expected[name])]
     # The validators of the command `usdchecker`, which the Python package does not contain.
@@ -200,27 +196,6 @@ def mesh_faults(mesh, time, points, triangles):
     if abs(extent - [found.min(axis=0), found.max(axis=0)]).max() > 1e-6:
         faults.append(f"its extent is {extent.tolist()}")
     return faults
-
-
-def shot(folder, name):
-    stage = Usd.Stage.Open(str(folder / name))
-    mesh = mesh_under_root(stage)
-    frames = sorted(folder.glob("moving.*.ply"))
-    codes = [int(path.stem.split(".")[1]) for path in frames]
-    faults = layer_faults(folder / name) if name.endswith("c") else []
-    if mesh.GetVelocitiesAttr().GetTimeSamples() != mesh.GetPointsAttr().GetTimeSamples():
-        faults.append("its velocities have other time codes than its points")
-    if mesh.GetPointsAttr().GetTimeSamples() != codes:
-        faults.append(f"its time codes are {mesh.GetPointsAttr().GetTimeSamples()}, the frames are {codes}")
-    if [stage.GetStartTimeCode(), stage.GetEndTimeCode()] != [codes[0], codes[-1]] or stage.GetTimeCodesPerSecond() != 24:
-        faults.append("it begins or ends at other times, or is of another speed")
-    shift = mesh.GetXformOpOrderAttr().Get() is not None
-    for code, path in zip(codes, frames):
-        points, triangles = read_ply(path)
-        local = np.array(mesh.ComputeLocalToWorldTransform(code)) if shift else np.eye(4)
-        moved = points - local[3, :3].astype(points.dtype) if shift else points
-        faults += [f"frame {code}: {fault}" for fault in mesh_faults(mesh, code, moved, triangles)]
-    return f"{len(codes)} frames, {codes}", faults
 
 
 if __name__ == "__main__":

@@ -245,27 +245,21 @@ fn alembic(bytes: &[u8]) {
     checked(abc::read_points(bytes, 1, &limits()));
 }
 
-/// Reads a frame of a sequence. For the .usda, the .usdc and the .abc, its columns and triangles are read;
-/// for the .glb, its data is copied.
+/// Reads a frame of a sequence. For the .abc, its columns and triangles are read; for the .glb, its data is copied.
 fn gltf_frame(bytes: &[u8]) {
     let Ok(file) = gltf::GlbFrame::read(&mut Cursor::new(bytes)) else { return };
     let frame = |code| gltf::SequenceFrame { name: "f".into(), code, file: file.clone() };
     let (shot, open) = ([frame(1), frame(3)], |_: usize| Ok(Cursor::new(bytes)));
-    let _ = usda::write_sequence(&shot, None, (24.0, 1.0), &[], open, &mut std::io::sink());
-    let _ = usdc::write_sequence(&shot, None, (24.0, 1.0), &[], open, &mut Cursor::new(Vec::new()));
     let _ = abc::write_sequence(&shot, None, 24.0, &[], open, &mut std::io::sink());
     let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut std::io::sink());
 }
 
-/// Reads the declarations and the first frames of a file, and converts it.
+/// Reads the declarations and the frame of a file, and converts it.
 fn usdc_frames(bytes: &[u8]) {
     let _ = usdc::read_sampled_properties(&mut Cursor::new(bytes), &limits());
-    let _ = usdc::read_layer_info(&mut Cursor::new(bytes), &limits());
     let _ = usdc::to_glb(bytes, &limits());
     let Ok(layer) = usdc::UsdcLayer::read(bytes, &limits()) else { return };
-    for index in 0..layer.codes().map_or(1, <[f64]>::len).min(4) {
-        let _ = layer.frame(index);
-    }
+    let _ = layer.frame();
 }
 
 /// Reads the particles and the meshes of a stage.

@@ -5,7 +5,7 @@ use std::io::{Read, Write};
 use std::path::Path;
 use std::process::Stdio;
 
-use meniscus_formats::OutputFormat;
+use meniscus_formats::{OutputFormat, abc};
 use tempfile::{TempDir, tempdir};
 
 use crate::program::scene::{RunResult, block, command, meniscus, names_in, write_ply, write_sequence};
@@ -86,7 +86,7 @@ fn times_in_names_are_one_sequence_in_the_order_of_their_values() {
         let inputs: Vec<String> = names.iter().map(|time| pattern.replace("{}", time)).collect();
         let folder = folder_with(&inputs.iter().map(String::as_str).collect::<Vec<_>>());
         let path = folder.path();
-        let arguments = ["--format", "glb,usdc", "--stage", "out/shot.usda", "--sequence", "all.usda"];
+        let arguments = ["--format", "glb,usdc", "--stage", "out/shot.usda", "--sequence", "all.abc"];
         let result = meniscus(path, &[&["convert", "in", "--out", "out"], &arguments[..]].concat());
         assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
         assert!(
@@ -97,11 +97,11 @@ fn times_in_names_are_one_sequence_in_the_order_of_their_values() {
         let expected: Vec<String> =
             inputs.iter().map(|name| format!("./{}", name.replace(".ply", ".usdc"))).collect();
         assert_eq!(played(&path.join("out/shot.usda")), expected);
-        let shot = fs::read_to_string(path.join("all.usda")).expect("a shot");
-        assert!(shot.contains("    startTimeCode = 1\n"), "{shot}");
-        let again = meniscus(path, &["sequence", "out", "-o", "again.usda"]);
+        let shot = fs::read(path.join("all.abc")).expect("a shot");
+        assert_eq!(abc::read_times(&shot).expect("times")[0], 1.0 / 24.0);
+        let again = meniscus(path, &["sequence", "out", "-o", "again.abc"]);
         assert_eq!((again.status, &*again.err), (0, ""));
-        assert_eq!(fs::read_to_string(path.join("again.usda")).expect("a shot"), shot);
+        assert!(fs::read(path.join("again.abc")).expect("a shot") == shot);
         let by_pattern =
             meniscus(path, &["convert", &format!("in/{pattern}"), "--out", "p", "--print-settings"]);
         assert_eq!((by_pattern.status, &*by_pattern.err), (0, ""));
@@ -183,14 +183,15 @@ fn negative_frame_numbers_precede_the_others() {
     let folder = folder_with(&["dam.-003.ply", "dam.-002.ply", "dam.-001.ply", "dam.000.ply", "dam.001.ply"]);
     let path = folder.path();
     let arguments = ["--out", "out", "--format", "glb,usdc", "--stage", "out/shot.usda"];
-    let shots = ["--sequence", "shot.glb", "--sequence", "shot.usda"];
+    let shots = ["--sequence", "shot.glb", "--sequence", "shot.abc"];
     let result = meniscus(path, &[&["convert", "in"], &arguments[..], &shots].concat());
     assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
     assert!(result.out.contains("dam.{}.ply: 5 frames, spacing "), "{}", result.out);
     let names = ["-003", "-002", "-001", "000", "001"].map(|number| format!("./dam.{number}.usdc"));
     assert_eq!(played(&path.join("out/shot.usda")), names);
-    let shot = fs::read_to_string(path.join("shot.usda")).expect("a shot");
-    assert!(shot.contains("    startTimeCode = -3\n") && shot.contains("    endTimeCode = 1\n"));
+    let shot = fs::read(path.join("shot.abc")).expect("a shot");
+    let times = abc::read_times(&shot).expect("times");
+    assert_eq!([times[0], times[times.len() - 1]], [-3.0 / 24.0, 1.0 / 24.0]);
     let result = meniscus(path, &["info", "shot.glb"]);
     assert!(result.out.contains("-3"), "{}", result.out);
     for (inputs, frames) in [("in", "--frames=-2-1"), ("in/dam.###.ply", "--frames=-2-1")] {

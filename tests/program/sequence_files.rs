@@ -84,34 +84,22 @@ fn outputs_for_other_programs_record_the_generator() {
     }
 }
 
-const SHOTS: [&str; 10] = [
-    "--sequence",
-    "shot.glb",
-    "--sequence",
-    "shot.usda",
-    "--sequence",
-    "shot.usdc",
-    "--sequence",
-    "shot.abc",
-    "--fps",
-    "25",
-];
+const SHOTS: [&str; 6] = ["--sequence", "shot.glb", "--sequence", "shot.abc", "--fps", "25"];
 
 const CONVERT_TO_FRAMES: [&str; 8] =
     ["convert", "in", "--out", "out", "--voxel-size=0.05", "--format=glb,abc,usdc", "--up", "z"];
 
 /// Converts frames to files in every format, and to the [sequence files](SHOTS). Returns the bytes of these.
-fn convert_to_shots(path: &Path) -> [Vec<u8>; 4] {
+fn convert_to_shots(path: &Path) -> [Vec<u8>; 2] {
     succeeded(&meniscus(path, &[&CONVERT_TO_FRAMES[..], &SHOTS].concat()));
-    ["shot.glb", "shot.usda", "shot.usdc", "shot.abc"]
-        .map(|name| fs::read(path.join(name)).expect("readable"))
+    ["shot.glb", "shot.abc"].map(|name| fs::read(path.join(name)).expect("readable"))
 }
 
 #[test]
 fn sequence_file_is_the_same_from_every_command() {
     let folder = frames(4);
     let path = folder.path();
-    let [glb, usda, usdc, abc] = convert_to_shots(path);
+    let [glb, abc] = convert_to_shots(path);
     let read = |name: &str| fs::read(path.join(name)).expect("readable");
 
     fs::create_dir(path.join("farm")).expect("made");
@@ -119,9 +107,7 @@ fn sequence_file_is_the_same_from_every_command() {
     for shard in ["3/3", "1/3", "2/3"] {
         succeeded(&meniscus(path, &[&on_farm[..], &["--shard", shard, "--threads", "1"]].concat()));
     }
-    for (name, expected) in
-        [("again.glb", &glb), ("again.usda", &usda), ("again.usdc", &usdc), ("again.abc", &abc)]
-    {
+    for (name, expected) in [("again.glb", &glb), ("again.abc", &abc)] {
         succeeded(&meniscus(path, &["sequence", "farm", "-o", name, "--fps", "25"]));
         assert!(read(name) == *expected, "{name}");
         succeeded(&meniscus(path, &["sequence", "farm/dam.#.glb", "-o", name, "--fps", "25"]));
@@ -147,7 +133,7 @@ fn sequence_file_is_the_same_from_every_command() {
 fn sequence_file_is_the_same_from_frames_in_every_format() {
     let folder = frames(4);
     let path = folder.path();
-    let [glb, usda, usdc, abc] = convert_to_shots(path);
+    let [glb, abc] = convert_to_shots(path);
     let read = |name: &str| fs::read(path.join(name)).expect("readable");
     // In a .glb, each mesh has the provenance of its frame, which depends on the format of the frame; so only
     // the data are the same.
@@ -162,9 +148,7 @@ fn sequence_file_is_the_same_from_frames_in_every_format() {
             let name = format!("dam.{number}.{extension}");
             fs::rename(path.join("out").join(&name), only.join(&name)).expect("renamed");
         }
-        for (name, expected) in
-            [("shot.glb", &glb), ("shot.usda", &usda), ("shot.usdc", &usdc), ("shot.abc", &abc)]
-        {
+        for (name, expected) in [("shot.glb", &glb), ("shot.abc", &abc)] {
             let output = format!("{extension}/{name}");
             let pattern = format!("{extension}/dam.#.{extension}");
             // A sequence file in the folder is not a frame.
@@ -185,10 +169,7 @@ fn shot_that_lacks_frames_does_not_replace_a_whole_one() {
     let path = folder.path();
     let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb"];
     succeeded(&meniscus(path, &[&convert[..], &SHOTS].concat()));
-    let read = || {
-        ["shot.glb", "shot.usda", "shot.usdc", "shot.abc"]
-            .map(|name| fs::read(path.join(name)).expect("readable"))
-    };
+    let read = || ["shot.glb", "shot.abc"].map(|name| fs::read(path.join(name)).expect("readable"));
     let whole = read();
     fs::write(path.join("in/dam.2.ply"), "ply\nformat ascii 1.0\n").expect("written");
     let result = meniscus(path, &[&convert[..], &SHOTS].concat());
@@ -256,16 +237,6 @@ fn sequence_file_shows_each_frame_at_its_time() {
         assert_eq!(found, shown, "{scales:?}");
     }
 
-    let usda = fs::read_to_string(path.join("shot.usda")).expect("readable");
-    assert!(
-        usda.contains("    startTimeCode = 1\n    timeCodesPerSecond = 25\n")
-            && usda.contains("endTimeCode = 4\n")
-    );
-    let points = usda.split("point3f[] points.timeSamples = {\n").nth(1).expect("points");
-    let codes: Vec<&str> = points.lines().take(3).filter_map(|line| line.trim().split(':').next()).collect();
-    assert_eq!(codes, ["1", "2", "4"]);
-    assert!(points.lines().nth(1) == Some("            2: [],"));
-
     // Frame 2 has no particles, so its sample is empty. Frame 3 is missing, so frame 2 has a second sample
     // just before frame 4.
     let archive = fs::read(path.join("shot.abc")).expect("readable");
@@ -292,7 +263,7 @@ fn info_describes_a_sequence_file_and_convert_refuses_it() {
         counts.map(|info| info["mesh"][name].as_u64().expect("a number")).sum()
     };
     let counts = ["vertices", "triangles"].map(total);
-    for name in ["shot.glb", "shot.usda", "shot.usdc", "shot.abc"] {
+    for name in ["shot.glb", "shot.abc"] {
         let text = meniscus(path, &["info", name]).out;
         let rows = [
             ("frames", "3".to_owned()),
@@ -324,12 +295,7 @@ fn info_describes_a_sequence_file_and_convert_refuses_it() {
         fs::write(path.join(format!("in/dam.{number}.ply")), ply).expect("written");
     }
     succeeded(&meniscus(path, &[&convert[..], &SHOTS, &["--attributes", "all"]].concat()));
-    for (name, attributes) in [
-        ("shot.glb", ["_HEAT", "_VELOCITY"]),
-        ("shot.usda", ["heat", "velocities"]),
-        ("shot.usdc", ["heat", "velocities"]),
-        ("shot.abc", ["heat", "velocity"]),
-    ] {
+    for (name, attributes) in [("shot.glb", ["_HEAT", "_VELOCITY"]), ("shot.abc", ["heat", "velocity"])] {
         let text = meniscus(path, &["info", name]).out;
         let mut found: Vec<&str> =
             text.lines().filter_map(|line| line.strip_prefix("  attribute            ")).collect();
@@ -368,8 +334,8 @@ fn invalid_sequence_files_are_refused_before_conversion() {
     let path = folder.path();
     let convert = |more: &[&'static str]| [&["convert", "in", "--out", "o"][..], more].concat();
     refused(path, &convert(&["--format", "ply", "--sequence", "s.glb"]), &["--sequence", "add glb"]);
-    for name in ["s.usd", "s.mov", "s"] {
-        refused(path, &convert(&["--sequence", name]), &[name, "must end in .glb, .usda, .usdc or .abc"]);
+    for name in ["s.usda", "s.usdc", "s.mov", "s"] {
+        refused(path, &convert(&["--sequence", name]), &[name, "must end in .glb or .abc"]);
     }
     refused(path, &convert(&["--sequence", "no/s.glb"]), &["does not exist"]);
     refused(
@@ -398,7 +364,7 @@ fn invalid_sequence_files_are_refused_before_conversion() {
         &["sequence", "in/dam.1.ply", "in/other.1.ply", "-o", "s.glb"],
         &["2 sequences", "dam.1.ply, other.1.ply"],
     );
-    refused(path, &["sequence", "in/dam.1.ply", "-o", "s.ply"], &[".glb, .usda, .usdc or .abc"]);
+    refused(path, &["sequence", "in/dam.1.ply", "-o", "s.ply"], &["must end in .glb or .abc"]);
     assert!(!path.join("s.glb").exists());
 }
 
@@ -416,7 +382,7 @@ fn damaged_frame_is_left_out_with_a_warning() {
     foreign[20..60].fill(b' ');
     for damaged in [&whole[..whole.len() - 4], &whole[..30], b"", &foreign] {
         fs::write(&frame, damaged).expect("written");
-        for output in ["s.glb", "s.usda", "s.usdc", "s.abc"] {
+        for output in ["s.glb", "s.abc"] {
             let result = meniscus(path, &["sequence", "out", "-o", output]);
             assert_eq!(result.status, 1, "{}{}", result.out, result.err);
             assert!(
@@ -443,7 +409,7 @@ fn damaged_frame_is_left_out_with_a_warning() {
     let frame = path.join("out/dam.2.usdc");
     let whole = fs::read(&frame).expect("readable");
     fs::write(&frame, &whole[..whole.len() - 4]).expect("written");
-    let result = meniscus(path, &["sequence", "out/dam.#.usdc", "-o", "s.usdc"]);
+    let result = meniscus(path, &["sequence", "out/dam.#.usdc", "-o", "s.abc"]);
     assert_eq!(result.status, 1, "{}{}", result.out, result.err);
     assert!(
         result.err.contains("dam.2.usdc: left out") && result.out.contains("a sequence file of 2 frames"),
@@ -451,7 +417,7 @@ fn damaged_frame_is_left_out_with_a_warning() {
         result.out,
         result.err
     );
-    refused(path, &["sequence", "s.usdc", "-o", "t.usdc"], &["s.usdc: ", "this file is a sequence"]);
+    refused(path, &["sequence", "s.abc", "-o", "t.abc"], &["s.abc: "]);
 }
 
 #[test]
@@ -479,8 +445,8 @@ fn sequence_file_replaces_only_an_earlier_one() {
     assert!(made.iter().all(|shot| *shot == made[0]));
     // Nor does it replace a frame that is not combined, or a file of the user.
     fs::copy(path.join("out/dam.1.glb"), path.join("dam.0001.glb")).expect("copied");
-    fs::write(path.join("mine.usda"), "text").expect("written");
-    for output in ["dam.0001.glb", "mine.usda"] {
+    fs::write(path.join("mine.abc"), "text").expect("written");
+    for output in ["dam.0001.glb", "mine.abc"] {
         let before = fs::read(path.join(output)).expect("readable");
         let convert = ["convert", "in", "--out", "again", "--voxel-size", "0.05", "--sequence", output];
         for arguments in [&["sequence", "out", "-o", output][..], &convert] {
@@ -494,7 +460,7 @@ fn sequence_file_replaces_only_an_earlier_one() {
 }
 
 #[test]
-fn time_codes_are_frame_numbers() {
+fn sequence_files_record_frame_numbers() {
     let folder = frames(3);
     let path = folder.path();
     for (old, new) in [(3, 300), (2, 100), (1, 0)] {
@@ -503,15 +469,6 @@ fn time_codes_are_frame_numbers() {
     }
     let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb"];
     succeeded(&meniscus(path, &[&convert[..], &SHOTS].concat()));
-    let usda = fs::read_to_string(path.join("shot.usda")).expect("readable");
-    for line in ["endTimeCode = 300", "framesPerSecond = 25", "startTimeCode = 0", "timeCodesPerSecond = 25"]
-    {
-        assert!(usda.contains(&format!("    {line}\n")), "{line}");
-    }
-    let points = usda.split("point3f[] points.timeSamples = {\n").nth(1).expect("points");
-    let codes: Vec<&str> = points.lines().take(3).filter_map(|line| line.trim().split(':').next()).collect();
-    assert_eq!(codes, ["0", "100", "300"]);
-    assert!(usda.contains("string first = \"0\"") && usda.contains("string last = \"300\""));
     let shot = document(&path.join("shot.glb"));
     let recorded = &shot["asset"]["extras"]["meniscus"];
     assert_eq!((&recorded["first"], &recorded["last"]), (&"0".into(), &"300".into()));

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
-use meniscus_formats::{AttributeRole, FilePositions, Limits, ParticleFrame, Values, read_particles};
+use meniscus_formats::{AttributeRole, Limits, ParticleFrame, Values, read_particles};
 use tempfile::{TempDir, tempdir};
 
 use crate::program::scene::{RunResult, assert_refused, meniscus, names_in};
@@ -197,22 +197,6 @@ fn points_have_the_formats_of_the_meshes_or_others() {
     );
 }
 
-/// The time codes and values of a property of the points in a sequence file in `.usda`.
-fn samples(text: &str, property: &str) -> Vec<(f64, Vec<f64>)> {
-    let (_, points) = text.split_once("    def Points \"surface_spray\"\n").expect("points");
-    let (_, samples) = points.split_once(&format!(" {property}.timeSamples = {{\n")).expect("a property");
-    let (samples, _) = samples.split_once("\n        }\n").expect("an end");
-    let number = |word: &str| word.parse().unwrap_or_else(|_| panic!("{word} is not a number"));
-    let sample = |line: &str| {
-        let (code, values) = line.trim().split_once(": ").expect("a time code");
-        let words = values.split([',', ' ', '(', ')', '[', ']']).filter(|word| !word.is_empty());
-        (number(code), words.map(number).collect())
-    };
-    samples.lines().map(sample).collect()
-}
-
-const SHOTS: [&str; 3] = ["shot.usda", "shot.usdc", "shot.abc"];
-
 #[test]
 fn sequence_files_have_the_points_beside_the_frames() {
     let folder = splash(true);
@@ -221,84 +205,34 @@ fn sequence_files_have_the_points_beside_the_frames() {
     // Frame 9 has no spray.
     fs::write(folder.join("in/dam.9.ply"), frame(&[], true)).expect("written");
     let outputs = ["--format", "glb,usdc", "--spray-format", "ply,vtp,bgeo,usda,usdc,abc,npy", "--up", "z"];
-    let shots: Vec<&str> = SHOTS.iter().chain(&["shot.glb"]).flat_map(|shot| ["--sequence", shot]).collect();
+    let shots = ["--sequence", "shot.abc", "--sequence", "shot.glb"];
     let made = convert(folder, "out", &[&outputs[..], &["--spray-keep", "1"], &shots].concat());
-    assert!(made.out.contains("shot.usda: a sequence file of 8 frames, 8 points, "), "{}", made.out);
+    assert!(made.out.contains("shot.abc: a sequence file of 8 frames, 8 points, "), "{}", made.out);
     assert!(made.out.contains("shot.glb: a sequence file of 8 frames, "), "{}", made.out);
     let note =
         "shot.glb: the points beside the frames (--spray) are missing: a sequence in .glb has only meshes";
     assert_eq!(made.err.matches("the points beside the frames").count(), 1, "{}", made.err);
     assert!(made.err.contains(note), "{}", made.err);
 
-    let text = fs::read_to_string(folder.join("shot.usda")).expect("readable");
-    let before = |code: f64| code - 1.0 / 64.0;
-    let (mut ids_of, mut positions_of) = (Vec::new(), Vec::new());
-    for number in [1, 2, 4, 5, 6, 7, 8, 9] {
-        let path = folder.join(format!("out/dam.{number}.spray.ply"));
-        let FilePositions::F32(positions) = read(&path).positions else { panic!("64 bits") };
-        ids_of.push((f64::from(number), ids(&path).into_iter().map(|id| id as f64).collect::<Vec<f64>>()));
-        let values: Vec<f64> =
-            positions.iter().flatten().map(|along| along.to_string().parse().expect("a number")).collect();
-        positions_of.push((f64::from(number), values));
-    }
-    // Frames with as many points as the next one are held: frame 2 until 4, where frame 3 is missing, has others.
-    let counts: Vec<usize> = ids_of.iter().map(|(_, ids)| ids.len()).collect();
-    assert_eq!(counts, [2, 2, 0, 0, 1, 1, 2, 0]);
-    let held = |samples: &[(f64, Vec<f64>)]| -> Vec<(f64, Vec<f64>)> {
-        let mut all = Vec::new();
-        for (index, (code, values)) in samples.iter().enumerate() {
-            all.push((*code, values.clone()));
-            if let Some((next, others)) = samples.get(index + 1)
-                && others.len() == values.len()
-            {
-                all.push((before(*next), values.clone()));
-            }
-        }
-        all
-    };
-    assert_eq!(samples(&text, "ids"), held(&ids_of));
-    assert_eq!(samples(&text, "points"), held(&positions_of));
-    for (property, arity) in [("widths", 1), ("primvars:heat", 1), ("primvars:spray_class", 1), ("extent", 6)]
+    let info = meniscus(folder, &["info", "shot.abc"]).out;
+    assert!(info.contains("\n  points               8, in all frames\n"), "{info}");
+    // The points are the same from every format, beside a frame in any format.
+    let expected = fs::read(folder.join("shot.abc")).expect("readable");
+    for (format, mesh) in
+        ["ply", "vtp", "bgeo", "usda", "usdc", "abc", "npy"].iter().flat_map(|f| [(f, "glb"), (f, "usdc")])
     {
-        let found = samples(&text, property);
-        let is_right = |(_, values): &(f64, Vec<f64>)| match property {
-            "extent" => values.len() == arity,
-            _ => counts.contains(&values.len()),
-        };
-        assert!(found.iter().all(is_right), "{property}: {found:?}");
-    }
-    let radius = (0.75 / std::f64::consts::PI).cbrt() * SPACING;
-    let widths = samples(&text, "widths");
-    assert!(widths.iter().flat_map(|(_, widths)| widths).all(|width| (width - 2.0 * radius).abs() < 1e-6));
-
-    for shot in SHOTS {
-        let info = meniscus(folder, &["info", shot]).out;
-        assert!(info.contains("\n  points               8, in all frames\n"), "{info}");
-        // The points are the same from every format, beside a frame in any format.
-        let expected = fs::read(folder.join(shot)).expect("readable");
-        for (format, mesh) in ["ply", "vtp", "bgeo", "usda", "usdc", "abc", "npy"]
-            .iter()
-            .flat_map(|f| [(f, "glb"), (f, "usdc")])
-        {
-            let only = tempdir().expect("a folder");
-            for number in [1, 2, 4, 5, 6, 7, 8, 9] {
-                for name in [format!("dam.{number}.{mesh}"), format!("dam.{number}.spray.{format}")] {
-                    fs::copy(folder.join("out").join(&name), only.path().join(&name)).expect("copied");
-                }
+        let only = tempdir().expect("a folder");
+        for number in [1, 2, 4, 5, 6, 7, 8, 9] {
+            for name in [format!("dam.{number}.{mesh}"), format!("dam.{number}.spray.{format}")] {
+                fs::copy(folder.join("out").join(&name), only.path().join(&name)).expect("copied");
             }
-            let result = meniscus(only.path(), &["sequence", ".", "-o", shot]);
-            assert_eq!(
-                (result.status, &*result.err),
-                (0, "warning: shot: 3: 1 frame is missing\n".replace("shot", shot).as_str())
-            );
-            assert!(
-                fs::read(only.path().join(shot)).expect("readable") == expected,
-                "{format} {mesh} {shot}"
-            );
         }
-        let refused = meniscus(folder, &["convert", shot, "--out", "none"]);
-        assert!(refused.err.contains("this is a mesh, not particles"), "{}", refused.err);
+        let result = meniscus(only.path(), &["sequence", ".", "-o", "shot.abc"]);
+        assert_eq!((result.status, &*result.err), (0, "warning: shot.abc: 3: 1 frame is missing\n"));
+        assert!(fs::read(only.path().join("shot.abc")).expect("readable") == expected, "{format} {mesh}");
     }
+    let refused = meniscus(folder, &["convert", "shot.abc", "--out", "none"]);
+    assert!(refused.err.contains("this is a mesh, not particles"), "{}", refused.err);
 }
 
 #[test]
@@ -314,17 +248,15 @@ fn frame_is_left_out_of_a_sequence_file_if_its_points_are_damaged() {
     flipped[last..].fill(0xff);
     for damaged in [&whole[..whole.len() - 4], &whole[..2500], &flipped] {
         fs::write(path("usdc"), damaged).expect("written");
-        for shot in SHOTS {
-            let result = sequence(shot);
-            assert_eq!(result.status, 1, "{}{}", result.out, result.err);
-            let words = "dam.2.spray.usdc: left out of the sequence file: USD";
-            assert!(result.err.contains(words), "{}", result.err);
-            assert!(result.out.contains("a sequence file of 2 frames, 4 points"), "{}", result.out);
-        }
+        let result = sequence("shot.abc");
+        assert_eq!(result.status, 1, "{}{}", result.out, result.err);
+        let words = "dam.2.spray.usdc: left out of the sequence file: USD";
+        assert!(result.err.contains(words), "{}", result.err);
+        assert!(result.out.contains("a sequence file of 2 frames, 4 points"), "{}", result.out);
     }
     // Without that file, the points are in the other.
     fs::remove_file(path("usdc")).expect("removed");
-    let result = sequence("shot.usda");
+    let result = sequence("shot.abc");
     assert!(result.status == 0 && result.out.contains("3 frames, 6 points"), "{}{}", result.out, result.err);
     // Those of another run, and files of other programs, are not those of the mesh.
     let ply = fs::read(path("ply")).expect("readable");
@@ -334,13 +266,13 @@ fn frame_is_left_out_of_a_sequence_file_if_its_points_are_damaged() {
             |b: &[u8; 0]| b.to_vec(),
         );
         fs::write(path("ply"), bytes).expect("written");
-        let result = sequence("shot.usda");
+        let result = sequence("shot.abc");
         assert_eq!(result.status, 1, "{}{}", result.out, result.err);
         let words = "dam.2.spray.ply: left out of the sequence file: these are not the points of the mesh";
         assert!(result.err.contains(words), "{}", result.err);
     }
     fs::remove_file(path("ply")).expect("removed");
-    let result = sequence("shot.usda");
+    let result = sequence("shot.abc");
     assert!(result.status == 0 && result.out.contains("3 frames, 4 points"), "{}{}", result.out, result.err);
     let words = "dam.2.glb are missing: there is no file with them";
     assert!(result.err.contains("the points (--spray) of ") && result.err.contains(words), "{}", result.err);
@@ -359,16 +291,14 @@ fn points_of_an_earlier_run_are_not_in_a_sequence_file() {
         let arguments = ["convert", "in", "--out", out, "--spacing", "0.1", "--format", "glb"];
         let result = meniscus(folder, &arguments);
         assert_eq!(result.status, 0, "{}{}", result.out, result.err);
-        let shots = SHOTS.map(|shot| {
-            let result = meniscus(folder, &["sequence", out, "-o", shot]);
-            assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
-            fs::read(folder.join(shot)).expect("readable")
-        });
-        assert!(!shots[0].windows(10).any(|part| part == b"def Points"));
-        shots
+        let result = meniscus(folder, &["sequence", out, "-o", "shot.abc"]);
+        assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
+        let shot = fs::read(folder.join("shot.abc")).expect("readable");
+        assert!(!shot.windows(13).any(|part| part == b"surface_spray"));
+        shot
     };
-    let shots = plain("out");
-    assert!(folder.join("out/dam.1.spray.usdc").exists() && shots == plain("none"));
+    let shot = plain("out");
+    assert!(folder.join("out/dam.1.spray.usdc").exists() && shot == plain("none"));
 }
 
 #[test]
@@ -432,20 +362,17 @@ fn a_frame_may_be_spray_only() {
     let drops: String = (0..8).map(|index| format!("{index},0,{}\n", 0.5 * f64::from(index))).collect();
     fs::write(folder.join("drops.csv"), format!("x,y,z\n{drops}")).expect("written");
     let drops = ["convert", "drops.csv", "--out", "out/drops.glb", "--spacing", "0.1", "--spray", "2"];
-    for (up, axis) in [("y", "Y"), ("z", "Z")] {
+    let shots = ["y", "z"].map(|up| {
         let result = meniscus(folder, &[&drops[..], &["--up", up]].concat());
         assert_eq!(result.status, 0, "{}{}", result.out, result.err);
         assert_eq!(read(&folder.join("out/drops.spray.ply")).positions.len(), 8);
-        // A sequence without any mesh has the axes of the points.
-        let result = meniscus(folder, &["sequence", "out/drops.glb", "-o", "drops.usda"]);
+        let result = meniscus(folder, &["sequence", "out/drops.glb", "-o", "drops.abc"]);
         assert_eq!((result.status, &*result.err), (0, ""), "{}", result.out);
-        let text = fs::read_to_string(folder.join("drops.usda")).expect("readable");
-        assert!(text.contains(&format!("    upAxis = \"{axis}\"\n")), "{text}");
-        let [(1.0, points)] = &samples(&text, "points")[..] else { panic!("{text}") };
-        let heights: Vec<f64> = points.as_chunks::<3>().0.iter().map(|[.., height]| *height).collect();
-        assert_eq!(heights, [-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5]);
-        assert!(text.contains("        double3 xformOp:translate = (4, 0, 2)\n"), "{text}");
-    }
+        assert!(result.out.contains("a sequence file of 1 frame, 8 points, "), "{}", result.out);
+        fs::read(folder.join("drops.abc")).expect("readable")
+    });
+    // A sequence without any mesh has the axes of the points.
+    assert!(shots[0] != shots[1]);
 }
 
 #[test]

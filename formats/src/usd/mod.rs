@@ -1,6 +1,5 @@
-//! USD: what the text form and the binary form have in common. For the writers, the content of a mesh and of a
-//! [sequence]; for the readers, [layers](layer), the [stage](composed) of several, and its [particles](points)
-//! and [meshes](mesh).
+//! USD: what the text form and the binary form have in common. For the writers, the content of a mesh; for the
+//! readers, [layers](layer), the [stage](composed) of several, and its [particles](points) and [meshes](mesh).
 //!
 //! ```text
 //!   def Xform "root"
@@ -15,7 +14,6 @@ pub(crate) mod mesh;
 pub(crate) mod package;
 mod place;
 pub(crate) mod points;
-mod sequence;
 #[cfg(test)]
 mod tests;
 
@@ -23,8 +21,6 @@ use crate::data::{MeshView, VertexAttribute, VertexValues, bounds_of};
 use crate::narrow_points::NarrowPoints;
 use crate::provenance::are_points;
 use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
-
-pub(crate) use sequence::{SequenceAttribute, UsdSequence, UsdSequencePoints};
 
 /// The format's name in errors.
 pub(crate) const FORMAT: &str = "USD";
@@ -38,9 +34,6 @@ pub(crate) const PRIM: &str = "surface";
 
 /// The name of the points beside a mesh.
 pub(crate) const POINTS_PRIM: &str = "spray";
-
-/// The name of the points beside the mesh of a sequence.
-pub(crate) const SEQUENCE_POINTS_PRIM: &str = "surface_spray";
 
 /// The type of the prims of points.
 pub(crate) const POINTS_KIND: &str = "Points";
@@ -113,12 +106,10 @@ impl SampledProperty {
 /// A summary of the content of a file that this crate wrote.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LayerInfo {
-    /// Number of vertices, in all frames.
+    /// Number of vertices.
     pub vertices: u64,
-    /// Number of faces, in all frames.
+    /// Number of faces.
     pub faces: u64,
-    /// Number of frames in a sequence; `None` without time samples.
-    pub frames: Option<u64>,
 }
 
 /// The elements of an array.
@@ -193,15 +184,6 @@ impl<'a> MeshProperty<'a> {
 
     fn array(kind: &str, name: &str, elements: Elements<'a>) -> MeshProperty<'a> {
         MeshProperty::new(kind, name, PropertyValue::Array(elements))
-    }
-
-    /// Makes integers 64 bits wide.
-    fn widen(&mut self) {
-        if let PropertyValue::Array(Elements::Integers { arity, is_narrow, .. }) = &mut self.value {
-            self.element_size *= *arity;
-            (*arity, *is_narrow) = (1, false);
-            "int64[]".clone_into(&mut self.kind);
-        }
     }
 
     /// Whether its value never depends on the time.

@@ -8,7 +8,7 @@ use crate::usd::{FORMAT, LayerInfo, ROOT, SampledProperty};
 /// The beginning of the last line of a file.
 pub(super) const LAST_LINE: &str = "# end: ";
 
-/// The lines with the time codes of a sequence: the first and the last, and how many a second has.
+/// The lines with the time codes of a stage: the first and the last, and how many a second has.
 pub(super) fn times([first, last]: [i64; 2], fps: f64) -> String {
     format!(
         "    endTimeCode = {last}\n    framesPerSecond = {fps}\n    startTimeCode = {first}\n    timeCodesPerSecond = {fps}\n"
@@ -16,7 +16,7 @@ pub(super) fn times([first, last]: [i64; 2], fps: f64) -> String {
 }
 
 /// The text before the mesh, including the start of the prim that contains the mesh. `times` are the lines
-/// with the time codes of a sequence. A stage has no meshes of its own, and thus no summary. `sampled` are
+/// with the time codes of a stage. A stage has no meshes of its own, and thus no summary. `sampled` are
 /// the properties with time samples in the file of a frame: stages read them here, because in the mesh they
 /// are between long arrays.
 pub(super) fn head(
@@ -30,9 +30,8 @@ pub(super) fn head(
         text += &format!("            string {} = {}\n", key_of(key), quoted(value));
     }
     text += "        }\n";
-    if let Some(LayerInfo { vertices, faces, frames }) = info {
+    if let Some(LayerInfo { vertices, faces }) = info {
         text += &format!("        dictionary meniscus_mesh = {{\n            int64 faces = {faces}\n");
-        text += &frames.map(|frames| format!("            int64 frames = {frames}\n")).unwrap_or_default();
         text += &format!("            int64 vertices = {vertices}\n        }}\n");
     }
     if !sampled.is_empty() {
@@ -72,10 +71,10 @@ pub fn read_layer_info(head: &[u8]) -> Result<Option<LayerInfo>> {
         })
     };
     let info = number("vertices").zip(number("faces"));
-    Ok(info.map(|(vertices, faces)| LayerInfo { vertices, faces, frames: number("frames") }))
+    Ok(info.map(|(vertices, faces)| LayerInfo { vertices, faces }))
 }
 
-/// The first and the last time code in the head of a file with several, and the frames per second.
+/// The first and the last time code in the head of a stage, and the frames per second.
 pub fn read_times(head: &[u8]) -> Option<([f64; 2], f64)> {
     let text = head_text(head).ok()?;
     let number = |name: &str| {
@@ -187,18 +186,16 @@ mod tests {
             pair("", ""),
             pair("2", "\\x41"),
         ];
-        for frames in [None, Some(240)] {
-            let info = LayerInfo { vertices: u64::from(u32::MAX) + 1, faces: 7, frames };
-            let sampled = [("point3f[]", "points"), ("int[]", "primvars:id")]
-                .map(|(kind, name)| SampledProperty::checked(kind, name).expect("valid"));
-            let text =
-                head(&provenance, (Some(&info), &sampled), (UpAxis::Z, 1.0), "") + "def Mesh \"surface\"\n";
-            assert_eq!(read_provenance(text.as_bytes()).expect("a head"), provenance);
-            assert_eq!(read_layer_info(text.as_bytes()).expect("a head"), Some(info));
-            assert_eq!(read_sampled_properties(text.as_bytes()).expect("a head"), sampled);
-            for length in 0..text.len() {
-                let _ = read_provenance(&text.as_bytes()[..length]);
-            }
+        let info = LayerInfo { vertices: u64::from(u32::MAX) + 1, faces: 7 };
+        let sampled = [("point3f[]", "points"), ("int[]", "primvars:id")]
+            .map(|(kind, name)| SampledProperty::checked(kind, name).expect("valid"));
+        let text =
+            head(&provenance, (Some(&info), &sampled), (UpAxis::Z, 1.0), "") + "def Mesh \"surface\"\n";
+        assert_eq!(read_provenance(text.as_bytes()).expect("a head"), provenance);
+        assert_eq!(read_layer_info(text.as_bytes()).expect("a head"), Some(info));
+        assert_eq!(read_sampled_properties(text.as_bytes()).expect("a head"), sampled);
+        for length in 0..text.len() {
+            let _ = read_provenance(&text.as_bytes()[..length]);
         }
         let foreign = b"#usda 1.0\n(\n    defaultPrim = \"x\"\n)\n";
         assert_eq!(read_provenance(foreign).expect("a foreign file"), []);

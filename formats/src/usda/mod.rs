@@ -1,16 +1,16 @@
-//! USD as text, `.usda`: writes meshes, of one frame or of a sequence as time samples.
+//! USD as text, `.usda`: writes the mesh of a frame, and stages.
 //!
 //! ```text
 //!   #usda 1.0
 //!   (
 //!       customLayerData = { dictionary meniscus = { string radius = "0.025" .. } .. }     provenance
 //!           for a stage, also dictionary meniscus_samples: the properties that have time samples
-//!       defaultPrim, metersPerUnit, upAxis; for a sequence, its time codes
+//!       defaultPrim, metersPerUnit, upAxis
 //!   )
 //!   def Xform "root"
 //!       def Mesh "surface"
 //!   {
-//!       int[] faceVertexCounts = [3, 3, ..]        or  int[] faceVertexCounts.timeSamples = { 1: [3, ..], 2: [..] }
+//!       int[] faceVertexCounts = [3, 3, ..]        for a stage, also int[] faceVertexCounts.timeSamples = { 0: [3, ..] }
 //!       point3f[] points = [(0.5, 1, 2), ..]
 //!       ..
 //!   }
@@ -18,15 +18,13 @@
 //! ```
 //!
 //! Every program that reads USD reads its text form; the [binary form](crate::usdc) takes a quarter to a
-//! third of the size. A sequence is one file with a single mesh, whose attributes all have a sample per
-//! frame, so it is easy to move and can be replaced atomically. A [stage](UsdStage) is the alternative: a
-//! file that lists those of the frames, which may still be arriving.
+//! third of the size. A [stage](UsdStage) lists the files of the frames, which may still be arriving.
 
 mod head;
 mod parse;
 mod stage;
 
-use std::io::{self, Read, Seek, Write};
+use std::io::Write;
 use std::ops::Range;
 
 use rayon::prelude::*;
@@ -38,22 +36,19 @@ pub use stage::{ClipFile, StageClips, UsdStage, stage_text};
 
 use crate::data::{MeshView, ParticleFrame, Provenance};
 use crate::error::Result;
-use crate::gltf::SequenceFrame;
 use crate::narrow_points::{NarrowPoints, not_finite_notes};
 use crate::options::{MeshOptions, WriteOption};
 use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow};
-use crate::sequence_points::SequencePoints;
 use crate::text::{NumberWriter, ends_with_line};
 use crate::usd::mesh::read_alone;
 use crate::usd::points::READER;
 use crate::usd::{
-    Elements, FORMAT, MeshProperty, POINTS_KIND, POINTS_PRIM, PRIM, PropertyValue, SAMPLE_CODE,
-    SEQUENCE_POINTS_PRIM, SequenceAttribute, TRANSLATE, UsdSequence, UsdSequencePoints, attribute_of,
-    point_properties, properties, renamed,
+    Elements, FORMAT, MeshProperty, POINTS_KIND, POINTS_PRIM, PropertyValue, SAMPLE_CODE, point_properties,
+    properties, renamed,
 };
 use crate::vertex_attributes::{check_quads, faces, plain_name, quad_count, string_index};
 pub(crate) use head::read_provenance;
-use head::{LAST_LINE, head, quoted, times};
+use head::{LAST_LINE, head, quoted};
 
 /// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
@@ -110,7 +105,7 @@ fn encode_batch(
     let Some(index) = index.checked_sub(1) else {
         mesh.check(FORMAT)?;
         check_quads(FORMAT, mesh.triangles, &options.quads)?;
-        let info = LayerInfo { vertices, faces, frames: None };
+        let info = LayerInfo { vertices, faces };
         let name = plain_name(&options.name);
         let sampled = sampled_properties(mesh, options);
         let head = head(provenance, (Some(&info), &sampled), (options.up, options.meters_per_unit), "");
@@ -215,16 +210,14 @@ impl<'a> PropertyText<'a> {
             PropertyValue::Double3(values) => triple(*values),
             PropertyValue::Token(word) => format!("\"{word}\""),
             PropertyValue::TokenList(word) => format!("[\"{word}\"]"),
-            PropertyValue::StringTable(table) => format!("[{}]", distinct(table)),
+            PropertyValue::StringTable(table) => {
+                let distinct: Vec<String> =
+                    table.iter().map(|text| quoted(text)).chain([quoted("")]).collect();
+                format!("[{}]", distinct.join(", "))
+            }
         };
         PropertyText { open: before + &value + &after, elements: None, close: String::new() }
     }
-}
-
-/// The elements of the table of an indexed primvar.
-fn distinct(table: &[String]) -> String {
-    let distinct: Vec<String> = table.iter().map(|text| quoted(text)).chain([quoted("")]).collect();
-    distinct.join(", ")
 }
 
 /// The metadata of a property in parentheses, preceded by a space; empty if it has none.
@@ -281,202 +274,6 @@ fn tasks(sections: &[PropertyText]) -> Vec<TextTask> {
     sections.iter().enumerate().flat_map(runs_of).collect()
 }
 
-// Writes a sequence as one mesh whose attributes have a sample per frame.
-//
-//   point3f[] points.timeSamples = {
-//       1001: [(0.5, 1, 2), ..],
-//       1002: [..],
-//   }
-//
-// The samples of an attribute are contiguous, so the writer visits all frames once per attribute. From the
-// files of the frames, which are `.glb` files of this crate, it reads only the required data. At any time,
-// only one attribute of one frame and its text are in memory.
-//
-// USD allows samples with different numbers of vertices, and holds such a sample until the next. If the next
-// frame has the same number of vertices, the sample is repeated just before it, so that USD does not blend
-// them.
-
-/// Writes a sequence of frames, whose numbers become the time codes and must increase, and the points beside
-/// their meshes. `open` opens the file of the frame with the given index. Returns notes on attributes that are
-/// omitted because the frames differ in them.
-///
-/// # Errors
-///
-/// [`Error::Io`](crate::Error::Io) if a file cannot be read or `out` fails;
-/// [`Error::Invalid`](crate::Error::Invalid) if a document is damaged, numbers do not increase, or frames
-/// differ in their up axis; those of reading the points; [`Error::Unsupported`](crate::Error::Unsupported) for numbers beyond 2⁵³.
-pub fn write_sequence<R: Read + Seek>(
-    frames: &[SequenceFrame],
-    points: Option<&SequencePoints>,
-    (fps, meters_per_unit): (f64, f64),
-    provenance: &Provenance,
-    open: impl Fn(usize) -> io::Result<R>,
-    out: &mut impl Write,
-) -> Result<Vec<String>> {
-    let shot = UsdSequence::of(frames, points.is_some())?;
-    let info = shot.layer_info()?;
-    let (attributes, mut notes) = shot.attributes()?;
-    let head = head(
-        provenance,
-        (Some(&info), &[]),
-        (shot.placement.up, meters_per_unit),
-        &times(shot.code_range(), fps),
-    );
-    write!(out, "{head}    def Mesh \"{PRIM}\"\n    {{\n")?;
-
-    let extent = |index| Ok((extent_text(shot.extent(index)?), shot.held_codes(index)));
-    write_lines("float3[] extent", 0..frames.len(), out, extent)?;
-    write_samples(&shot, "int[] faceVertexCounts", out, |index| {
-        let triangles = vec![[0; 3]; frames[index].file.triangle_count()?];
-        Ok(Elements::FaceCounts { triangles: &triangles, quads: &[] }.texts())
-    })?;
-    let mut triangles = Vec::new();
-    write_samples(&shot, "int[] faceVertexIndices", out, |index| {
-        frames[index].file.read_triangles(&mut open(index)?, &mut triangles)?;
-        Ok(Elements::FaceCorners { triangles: &triangles, quads: &[] }.texts())
-    })?;
-    out.write_all(b"        uniform token orientation = \"rightHanded\"\n")?;
-    let mut values = Vec::new();
-    for attribute in &attributes {
-        let SequenceAttribute { semantic, kind, name, first, arity, interpolation } = attribute;
-        if interpolation.is_some() {
-            writeln!(out, "        {kind} {name}{}", about(*interpolation, 1))?;
-        }
-        write_samples(&shot, &format!("{kind} {name}"), out, |index| {
-            let (frame, shift) = (&frames[index].file, shot.shift(index)?);
-            let found = frame.read_attribute(semantic, shift, &mut open(index)?, &mut values)?;
-            let Some(stride) = found else { return Ok(Vec::new()) };
-            Ok(Elements::Reals { values: &values, stride, first: *first, arity: *arity }.texts())
-        })?;
-    }
-    out.write_all(b"        uniform token subdivisionScheme = \"none\"\n")?;
-    write_origin(shot.origin(), out)?;
-    out.write_all(b"    }\n")?;
-    let mut counted = String::new();
-    if let Some(points) = points.map(|points| UsdSequencePoints::of(&shot, points)) {
-        write_points(&points, out)?;
-        notes.extend_from_slice(points.notes());
-        counted = format!(", {} points", points.total());
-    }
-    let (count, vertices, faces) = (frames.len(), info.vertices, info.faces);
-    write!(out, "}}\n\n{LAST_LINE}{count} frames, {vertices} vertices, {faces} faces{counted}\n")?;
-    Ok(notes)
-}
-
-/// Writes the prim of the points beside the meshes, whose properties have a sample per frame, like those of the mesh.
-fn write_points(points: &UsdSequencePoints, out: &mut impl Write) -> Result<()> {
-    write!(out, "\n    def {POINTS_KIND} \"{SEQUENCE_POINTS_PRIM}\"\n    {{\n")?;
-    let extent = |index| Ok((extent_text(points.extent(index)), points.held_codes(index)));
-    write_lines("float3[] extent", points.frames(), out, extent)?;
-    points.with_template(|properties| {
-        for (place, MeshProperty { kind, name, interpolation, element_size, .. }) in
-            properties.iter().enumerate()
-        {
-            if interpolation.is_some() {
-                writeln!(out, "        {kind} {name}{}", about(*interpolation, *element_size))?;
-            }
-            write_arrays(&format!("{kind} {name}"), points.frames(), out, |index| {
-                let texts = points.with_properties(index, |properties| Ok(texts_of(&properties[place])))?;
-                Ok((texts, points.point_codes(index)))
-            })?;
-        }
-        Ok(())
-    })?;
-    write_origin(points.origin(), out)?;
-    Ok(out.write_all(b"    }\n")?)
-}
-
-/// The text of the elements of a property with a value per point, in pieces.
-fn texts_of(property: &MeshProperty) -> Vec<Vec<u8>> {
-    match &property.value {
-        PropertyValue::Array(elements) => elements.texts(),
-        PropertyValue::StringTable(table) => vec![distinct(table).into_bytes()],
-        // Points have no others.
-        _ => Vec::new(),
-    }
-}
-
-fn extent_text([low, high]: [[f32; 3]; 2]) -> String {
-    format!("[{}, {}]", triple(low), triple(high))
-}
-
-/// Writes the translation to the origin, if there is one.
-fn write_origin(origin: Option<[f64; 3]>, out: &mut impl Write) -> Result<()> {
-    if let Some(origin) = origin {
-        writeln!(out, "        double3 {TRANSLATE} = {}", triple(origin))?;
-        writeln!(out, "        uniform token[] xformOpOrder = [\"{TRANSLATE}\"]")?;
-    }
-    Ok(())
-}
-
-/// The end of the line before the samples of a property.
-const SAMPLES: &str = ".timeSamples = {";
-
-/// The names of the vertex attributes of a sequence of this crate, except normals and those of points.
-pub fn read_attribute_names(bytes: &[u8]) -> Vec<String> {
-    let name = |line: &[u8]| {
-        let property = line.strip_suffix(SAMPLES.as_bytes())?;
-        let (_, name) = std::str::from_utf8(property).ok()?.rsplit_once(' ')?;
-        Some(attribute_of(name)?.to_owned())
-    };
-    let lines = bytes.split(|&byte| byte == b'\n');
-    let of_mesh =
-        lines.skip_while(|line| !line.starts_with(b"    def Mesh ")).take_while(|line| *line != b"    }");
-    of_mesh.filter_map(name).collect()
-}
-
-/// Writes an array with samples of each frame, formatted by `texts`; they are empty for a frame without a
-/// mesh.
-fn write_samples(
-    shot: &UsdSequence,
-    name: &str,
-    out: &mut impl Write,
-    mut texts: impl FnMut(usize) -> Result<Vec<Vec<u8>>>,
-) -> Result<()> {
-    write_arrays(name, 0..shot.frames.len(), out, |index| {
-        let texts = if shot.frames[index].file.has_mesh() { texts(index)? } else { Vec::new() };
-        Ok((texts, shot.vertex_codes(index)))
-    })
-}
-
-/// Writes an array with samples of each frame: its text in pieces, at these time codes.
-fn write_arrays<C: Iterator<Item = f64>>(
-    name: &str,
-    frames: Range<usize>,
-    out: &mut impl Write,
-    mut texts: impl FnMut(usize) -> Result<(Vec<Vec<u8>>, C)>,
-) -> Result<()> {
-    writeln!(out, "        {name}{SAMPLES}")?;
-    for index in frames {
-        let (texts, codes) = texts(index)?;
-        for code in codes {
-            write!(out, "            {code}: [")?;
-            texts.iter().try_for_each(|text| out.write_all(text))?;
-            out.write_all(b"],\n")?;
-        }
-    }
-    out.write_all(b"        }\n")?;
-    Ok(())
-}
-
-/// Writes a property with a line for each sample: its text, at the time codes of each frame.
-fn write_lines<C: Iterator<Item = f64>>(
-    name: &str,
-    frames: Range<usize>,
-    out: &mut impl Write,
-    line: impl Fn(usize) -> Result<(String, C)>,
-) -> Result<()> {
-    writeln!(out, "        {name}{SAMPLES}")?;
-    for index in frames {
-        let (line, codes) = line(index)?;
-        for code in codes {
-            writeln!(out, "            {code}: {line},")?;
-        }
-    }
-    out.write_all(b"        }\n")?;
-    Ok(())
-}
-
 // Formats arrays as text in chunks: `(0.5, 1, 2), (0.25, 1, 2), ..`.
 
 /// Number of elements formatted per task.
@@ -498,11 +295,6 @@ impl Elements<'_> {
     /// The number of tasks for all elements.
     fn task_count(&self) -> usize {
         self.count().div_ceil(ELEMENTS_PER_TASK)
-    }
-
-    /// The text of all elements, in pieces.
-    fn texts(&self) -> Vec<Vec<u8>> {
-        (0..self.task_count()).into_par_iter().map(|task| self.text_of(task)).collect()
     }
 
     /// The text of one task.

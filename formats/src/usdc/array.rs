@@ -11,8 +11,8 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::io::Write;
+use std::iter;
 use std::ops::Range;
-use std::{iter, mem};
 
 use lz4_flex::block::{compress_into, decompress_into, get_maximum_output_size};
 
@@ -43,14 +43,6 @@ enum Body<'a> {
     Floats(Cow<'a, [f32]>),
 }
 
-/// Memory for encoded integers, which a sequence reuses for the arrays of its frames.
-#[derive(Default)]
-pub(super) struct IntegerBuffers {
-    body: Vec<u8>,
-    /// The integers before their compression.
-    encoded: Vec<u8>,
-}
-
 impl<'a> CrateArray<'a> {
     /// Encodes the elements of a property.
     ///
@@ -58,37 +50,35 @@ impl<'a> CrateArray<'a> {
     ///
     /// [`Error::TooLarge`] if a mesh has more than 2³¹ vertices, or the array exceeds the format's limits.
     pub(super) fn of(elements: Elements<'a>) -> Result<CrateArray<'a>> {
-        let buffers = &mut IntegerBuffers::default();
         match elements {
-            Elements::Reals { values, stride, first, arity } => {
-                Self::reals(Cow::Borrowed(values), stride, first, arity)
-            }
+            Elements::Reals { values, stride, first, arity } => Self::reals(values, stride, first, arity),
             Elements::Integers { values, arity: 1, is_narrow: false } => {
-                Self::integers(ValueType::Int64, values.iter().copied(), buffers)
+                Self::integers(ValueType::Int64, values.iter().copied())
             }
             Elements::Integers { values, arity, .. } => Self::narrow(values, arity),
             Elements::StringIndices { table, indices } => {
                 let missing = index(table.len())?;
                 let fixed_index = |&index: &i32| if string_index(index, table) < 0 { missing } else { index };
-                Self::integers(ValueType::Int, indices.iter().map(fixed_index), buffers)
+                Self::integers(ValueType::Int, indices.iter().map(fixed_index))
             }
             Elements::FaceCounts { triangles, quads } if quad_count(quads) == 0 => {
-                Self::triangle_sizes(triangles.len(), buffers)
+                Self::integers(ValueType::Int, iter::repeat_n(3, triangles.len()))
             }
             Elements::FaceCounts { triangles, quads } => {
                 let counts = faces(triangles, quads, 0..triangles.len());
                 let counts: Result<Vec<i32>> = counts.map(|face| index(face.corners().len())).collect();
-                Self::integers(ValueType::Int, counts?.into_iter(), buffers)
+                Self::integers(ValueType::Int, counts?.into_iter())
             }
             Elements::FaceCorners { triangles, quads } => {
-                if quad_count(quads) == 0 {
-                    return Self::triangle_corners(triangles, buffers);
-                }
                 check_corners(triangles)?;
+                if quad_count(quads) == 0 {
+                    let corners = triangles.as_flattened().iter();
+                    return Self::integers(ValueType::Int, corners.map(|corner| corner.cast_signed()));
+                }
                 let faces: Vec<_> = faces(triangles, quads, 0..triangles.len()).collect();
                 let corners = faces.iter().flat_map(|face| face.corners());
                 let corners: Vec<i32> = corners.map(|corner| corner.cast_signed()).collect();
-                Self::integers(ValueType::Int, corners.into_iter(), buffers)
+                Self::integers(ValueType::Int, corners.into_iter())
             }
         }
     }
@@ -98,45 +88,14 @@ impl<'a> CrateArray<'a> {
     /// # Errors
     ///
     /// [`Error::TooLarge`] if the array exceeds the format's limits.
-    pub(super) fn reals(
-        values: Cow<'a, [f32]>,
-        stride: usize,
-        first: usize,
-        arity: usize,
-    ) -> Result<CrateArray<'a>> {
+    fn reals(values: &'a [f32], stride: usize, first: usize, arity: usize) -> Result<CrateArray<'a>> {
         let values = if (first, arity) == (0, stride) {
-            values
+            Cow::Borrowed(values)
         } else {
             let elements = values.chunks_exact(stride);
             Cow::Owned(elements.flat_map(|element| &element[first..first + arity]).copied().collect())
         };
         if arity == 1 { Self::floats(values) } else { Ok(Self::vectors(values, arity)) }
-    }
-
-    /// Encodes the numbers of corners of triangles.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::TooLarge`] if the array exceeds the format's limits.
-    pub(super) fn triangle_sizes(
-        triangle_count: usize,
-        buffers: &mut IntegerBuffers,
-    ) -> Result<CrateArray<'a>> {
-        Self::integers(ValueType::Int, iter::repeat_n(3, triangle_count), buffers)
-    }
-
-    /// Encodes the vertices of triangles.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::TooLarge`] if the mesh has more than 2³¹ vertices, or the array exceeds the format's limits.
-    pub(super) fn triangle_corners(
-        triangles: &[[u32; 3]],
-        buffers: &mut IntegerBuffers,
-    ) -> Result<CrateArray<'a>> {
-        check_corners(triangles)?;
-        let corners = triangles.as_flattened().iter();
-        Self::integers(ValueType::Int, corners.map(|corner| corner.cast_signed()), buffers)
     }
 
     /// Vectors of two to four floats.
@@ -173,14 +132,11 @@ impl<'a> CrateArray<'a> {
     fn integers<T: Integer>(
         kind: ValueType,
         values: impl ExactSizeIterator<Item = T> + Clone,
-        IntegerBuffers { body, encoded }: &mut IntegerBuffers,
     ) -> Result<CrateArray<'a>> {
-        let (mut bytes, count) = (mem::take(body), values.len());
-        bytes.clear();
+        let (mut bytes, count) = (Vec::new(), values.len());
         let is_compressed = count >= COMPRESSED_MIN;
         if is_compressed {
-            encode(values, encoded);
-            append_lz4(encoded, &mut bytes)?;
+            append_compressed(values, &mut bytes)?;
         } else {
             let width = T::CODE_BYTES[2];
             values.for_each(|value| bytes.extend_from_slice(&value.widened().to_le_bytes()[..width]));
@@ -193,7 +149,7 @@ impl<'a> CrateArray<'a> {
         let kind = match arity {
             1 => {
                 let values = values.iter().map(|&value| i32::lowest(value));
-                return Self::integers(ValueType::Int, values, &mut IntegerBuffers::default());
+                return Self::integers(ValueType::Int, values);
             }
             2 => ValueType::Vec2i,
             3 => ValueType::Vec3i,
@@ -229,14 +185,6 @@ impl<'a> CrateArray<'a> {
         match self.count {
             0 => ValueRep::array(self.kind, 0, false),
             _ => ValueRep::array(self.kind, offset, self.is_compressed),
-        }
-    }
-
-    /// Gives the memory of the array to the next one.
-    pub(super) fn recycle(self, buffers: &mut IntegerBuffers, values: &mut Vec<f32>) {
-        match self.body {
-            Body::Bytes(bytes) => buffers.body = bytes,
-            Body::Floats(floats) => *values = floats.into_owned(),
         }
     }
 

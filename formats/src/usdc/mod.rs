@@ -1,5 +1,5 @@
-//! Binary USD, `.usdc`, the crate format of the AOUSD Core Specification 1.0, §16.3: writes meshes, of one
-//! frame or of a sequence as time samples, and reads the layers of any program.
+//! Binary USD, `.usdc`, the crate format of the AOUSD Core Specification 1.0, §16.3: writes the mesh of a frame, and
+//! reads the layers of any program.
 //!
 //! ```text
 //!   0    bootstrap     PXR-USDC, version 0.8.0, offset of the table of contents
@@ -15,8 +15,7 @@
 //! of a file.
 //!
 //! The tables are at the end, because OpenUSD overwrites everything from the first table on when it saves a
-//! file that it opened. With this order, the writer of a sequence needs only one attribute of one frame in
-//! memory.
+//! file that it opened.
 //!
 //! Integers are compressed in the same way as by OpenUSD. Vectors are not compressed, so that programs can
 //! map them into memory.
@@ -27,7 +26,6 @@
 mod array;
 mod own;
 mod read;
-mod sequence;
 mod tables;
 
 use std::borrow::Cow;
@@ -36,9 +34,8 @@ use std::io::Write;
 use rayon::prelude::*;
 
 pub use crate::usd::{LayerInfo, SampledProperty};
-pub use own::{UsdcFrame, UsdcLayer, read_layer_info, read_sampled_properties};
+pub use own::{UsdcFrame, UsdcLayer, read_sampled_properties};
 pub(crate) use read::{CrateFile, read_layer};
-pub use sequence::write_sequence;
 
 use crate::data::{
     AttributeRole, FileAttribute, MeshView, ParticleFrame, Provenance, Values, VertexAttribute, VertexValues,
@@ -115,11 +112,9 @@ fn write(mesh: &MeshView, options: &MeshOptions, provenance: &Provenance, out: &
         info: Some(LayerInfo {
             vertices: mesh.positions.len() as u64,
             faces: (mesh.triangles.len() - quad_count(&options.quads)) as u64,
-            frames: None,
         }),
         up: options.up,
         meters_per_unit: options.meters_per_unit,
-        times: None,
     };
     let prim = (MESH_KIND, &*plain_name(&options.name));
     write_layer(prim, &properties(mesh, &options.quads, true), &layer, out)
@@ -141,13 +136,8 @@ pub fn write_particles(
     out: &mut dyn Write,
 ) -> Result<()> {
     let points = NarrowPoints::of(frame, FORMAT)?;
-    let layer = LayerHead {
-        provenance,
-        info: None,
-        up: options.up,
-        meters_per_unit: options.meters_per_unit,
-        times: None,
-    };
+    let layer =
+        LayerHead { provenance, info: None, up: options.up, meters_per_unit: options.meters_per_unit };
     let prim = (POINTS_KIND, POINTS_PRIM);
     write_layer(prim, &point_properties(&points, &points.others(), true), &layer, out)
 }
@@ -183,7 +173,7 @@ fn write_layer(
         };
         specs.push(spec(property, value));
     }
-    let (end, contents_at) = end.finish(layer, &[PrimSpec { kind, name, properties: specs }])?;
+    let (end, contents_at) = end.finish(layer, &PrimSpec { kind, name, properties: specs })?;
     out.write_all(&head(layer.provenance, contents_at))?;
     for (array, (padding, _)) in arrays.iter().zip(spans) {
         out.write_all(padding)?;
@@ -245,13 +235,12 @@ pub fn is_layer(head: &[u8]) -> bool {
 ///
 /// # Errors
 ///
-/// Those of [`UsdcLayer::read`], [`UsdcLayer::frame`] and [`crate::gltf::write_glb`]; [`crate::Error::Unsupported`] for a
-/// sequence.
+/// Those of [`UsdcLayer::read`], [`UsdcLayer::frame`] and [`crate::gltf::write_glb`].
 pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
     let bytes = bytes.into();
     let byte_count = bytes.len();
     let provenance = read_provenance(&bytes)?;
-    let (frame, up) = UsdcLayer::read(&bytes, limits)?.only_frame()?;
+    let (frame, up) = UsdcLayer::read(&bytes, limits)?.placed_frame()?;
     drop(bytes);
     let attributes = as_before(frame.attributes);
     PlacedMesh { attributes, ..frame }.to_glb(up, &provenance, byte_count)
@@ -301,8 +290,7 @@ fn merge_opacity(attributes: &mut Vec<FileAttribute>) {
     attributes.remove(opacity);
 }
 
-// The parts that the writers of one frame and of a sequence share: the beginning of a file, and the prims
-// that refer to its arrays.
+// The beginning of a file, and the prim that refers to its arrays.
 
 /// The offset of the comment with the provenance.
 const COMMENT_AT: usize = BOOTSTRAP_BYTES;
@@ -337,8 +325,6 @@ struct LayerHead<'a> {
     info: Option<LayerInfo>,
     up: UpAxis,
     meters_per_unit: f64,
-    /// The first and last time code, and the time codes per second; `None` for one frame.
-    times: Option<([i64; 2], f64)>,
 }
 
 /// The prim of a mesh or of points.
@@ -365,8 +351,6 @@ enum SpecValue {
     /// The value of a frame: the default, and a sample for stages, which see nothing but samples. Both refer
     /// to the same array.
     Frame(ValueRep),
-    /// For each sample, its time code and its value.
-    Samples(Vec<(f64, ValueRep)>),
 }
 
 /// The end of a file under construction: values, and the tables that refer to them.
@@ -451,15 +435,16 @@ impl LayerEnd {
         self.values.extend_from_slice(&value.0.to_le_bytes());
     }
 
-    fn samples(&mut self, samples: &[(f64, ValueRep)]) -> ValueRep {
+    /// The time samples of a value: one, at [`SAMPLE_CODE`].
+    fn sample(&mut self, value: ValueRep) -> ValueRep {
         let times = ValueRep::at(ValueType::DoubleVector, self.offset());
-        append_count(samples.len(), &mut self.values);
-        samples.iter().for_each(|(time, _)| self.values.extend_from_slice(&time.to_le_bytes()));
+        append_count(1, &mut self.values);
+        self.values.extend_from_slice(&(SAMPLE_CODE as f64).to_le_bytes());
         let rep = ValueRep::at(ValueType::TimeSamples, self.offset());
         self.append_here(times);
         self.values.extend_from_slice(&8_i64.to_le_bytes());
-        append_count(samples.len(), &mut self.values);
-        samples.iter().for_each(|(_, value)| self.values.extend_from_slice(&value.0.to_le_bytes()));
+        append_count(1, &mut self.values);
+        self.values.extend_from_slice(&value.0.to_le_bytes());
         rep
     }
 
@@ -470,54 +455,44 @@ impl LayerEnd {
             provenance.push((key.as_str(), value));
         }
         let provenance = self.dictionary(&provenance);
-        let Some(LayerInfo { vertices, faces, frames }) = head.info else {
+        let Some(LayerInfo { vertices, faces }) = head.info else {
             return self.dictionary(&[("meniscus", provenance)]);
         };
-        let mut counts = vec![("faces", self.int64(faces)), ("vertices", self.int64(vertices))];
-        counts.extend(frames.map(|frames| ("frames", self.int64(frames))));
+        let counts = [("faces", self.int64(faces)), ("vertices", self.int64(vertices))];
         let counts = self.dictionary(&counts);
         self.dictionary(&[("meniscus", provenance), ("meniscus_mesh", counts)])
     }
 
-    /// Adds the prims and properties; returns the bytes, and the offset of the table of contents.
+    /// Adds the prim and its properties; returns the bytes, and the offset of the table of contents.
     ///
     /// # Errors
     ///
     /// [`crate::Error::TooLarge`] if the tables exceed the format's limits.
-    fn finish(mut self, head: &LayerHead, prims: &[PrimSpec]) -> Result<(Vec<u8>, u64)> {
+    fn finish(mut self, head: &LayerHead, prim: &PrimSpec) -> Result<(Vec<u8>, u64)> {
         let up = match head.up {
             UpAxis::Y => "Y",
             UpAxis::Z => "Z",
         };
-        let mut fields = vec![
+        let fields = [
             ("customLayerData", self.custom_data(head)),
             ("defaultPrim", self.tables.token_value(ROOT)),
             ("metersPerUnit", self.double(head.meters_per_unit)),
             ("primChildren", self.names([ROOT].into_iter())),
             ("upAxis", self.tables.token_value(up)),
         ];
-        if let Some(([first, last], fps)) = head.times {
-            fields.extend([
-                ("startTimeCode", self.double(first as f64)),
-                ("endTimeCode", self.double(last as f64)),
-                ("framesPerSecond", self.double(fps)),
-                ("timeCodesPerSecond", self.double(fps)),
-            ]);
-        }
         self.tables.add_spec("", SpecType::PseudoRoot, &fields);
         let specifier = ValueRep::inlined(ValueType::Specifier, 0); // def
         let kind = self.tables.token_value("Xform");
-        let children = self.names(prims.iter().map(|prim| prim.name));
+        let children = self.names([prim.name].into_iter());
         let fields = [("specifier", specifier), ("typeName", kind), ("primChildren", children)];
         self.tables.add_spec(ROOT, SpecType::Prim, &fields);
-        for PrimSpec { kind, name, properties } in prims {
-            let kind = self.tables.token_value(kind);
-            let names = self.names(properties.iter().map(|property| property.name.as_str()));
-            let fields = [("specifier", specifier), ("typeName", kind), ("properties", names)];
-            self.tables.add_spec(name, SpecType::Prim, &fields);
-            for property in properties {
-                self.add_property(property)?;
-            }
+        let PrimSpec { kind, name, properties } = prim;
+        let kind = self.tables.token_value(kind);
+        let names = self.names(properties.iter().map(|property| property.name.as_str()));
+        let fields = [("specifier", specifier), ("typeName", kind), ("properties", names)];
+        self.tables.add_spec(name, SpecType::Prim, &fields);
+        for property in properties {
+            self.add_property(property)?;
         }
         let LayerEnd { base, mut values, tables } = self;
         let contents_at = tables.append(base, &mut values)?;
@@ -534,10 +509,9 @@ impl LayerEnd {
         match value {
             SpecValue::Always(value) => fields.push(("default", *value)),
             SpecValue::Frame(value) => {
-                let sample = self.samples(&[(SAMPLE_CODE as f64, *value)]);
+                let sample = self.sample(*value);
                 fields.extend([("default", *value), ("timeSamples", sample)]);
             }
-            SpecValue::Samples(samples) => fields.push(("timeSamples", self.samples(samples))),
         }
         if let Some(interpolation) = interpolation {
             fields.push(("interpolation", self.tables.token_value(interpolation)));

@@ -20,15 +20,14 @@ use crate::usd::package::LayerBytes;
 use crate::usd::points::attributes;
 use crate::usd::{ACCELERATIONS, FORMAT, LayerInfo, SampledProperty, TEXTURE, VELOCITIES, attribute_of};
 
-/// A file with the mesh of one frame, or with a sample for each frame of a sequence.
+/// A file with the mesh of a frame.
 pub struct UsdcLayer<'a> {
     stage: ComposedStage<'a>,
     mesh: Rc<StagePrim>,
     info: LayerInfo,
-    codes: Option<Vec<f64>>,
 }
 
-/// A frame of a file.
+/// The frame of a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct UsdcFrame {
     /// The mesh, in world units.
@@ -38,7 +37,7 @@ pub struct UsdcFrame {
 }
 
 impl<'a> UsdcLayer<'a> {
-    /// Reads the tables of a file; [`UsdcLayer::frame`] reads the meshes.
+    /// Reads the tables of a file; [`UsdcLayer::frame`] reads the mesh.
     ///
     /// # Errors
     ///
@@ -56,15 +55,7 @@ impl<'a> UsdcLayer<'a> {
         let [mesh] = &meshes[..] else {
             return Err(Error::unsupported(FORMAT, "this file has several meshes, and meniscus writes one"));
         };
-        let points = stage.attribute(mesh, "points")?.ok_or_else(|| unexpected("points"))?;
-        let codes = match points.default {
-            Some(_) => None,
-            // Other samples repeat a frame just before the next.
-            None => points
-                .samples
-                .map(|(_, codes)| codes.into_iter().filter(|code| code.fract() == 0.0).collect()),
-        };
-        Ok(UsdcLayer { mesh: Rc::clone(mesh), stage, info, codes })
+        Ok(UsdcLayer { mesh: Rc::clone(mesh), stage, info })
     }
 
     /// The summary of the file.
@@ -72,55 +63,33 @@ impl<'a> UsdcLayer<'a> {
         self.info
     }
 
-    /// The frame of a file that is not a sequence, as it is stored, and the axis that points up.
-    pub(super) fn only_frame(&self) -> Result<(PlacedMesh, UpAxis)> {
-        if self.codes.is_some() {
-            return Err(Error::unsupported(FORMAT, "this file is a sequence: use the file of one frame"));
-        }
+    /// The frame as it is stored, and the axis that points up.
+    pub(super) fn placed_frame(&self) -> Result<(PlacedMesh, UpAxis)> {
         let up = match self.stage.root_layer(|layer| layer.word(0, "upAxis"))?.as_deref() {
             Some("Y") => UpAxis::Y,
             Some("Z") => UpAxis::Z,
             _ => return Err(unexpected("upAxis")),
         };
-        Ok((self.placed_frame(0)?, up))
+        Ok((self.placed_mesh()?, up))
     }
 
-    /// The time codes of the frames; `None` for a file without time samples.
-    pub fn codes(&self) -> Option<&[f64]> {
-        self.codes.as_deref()
-    }
-
-    /// The names of the vertex attributes, except normals.
-    fn attribute_names(&self) -> Result<Vec<String>> {
-        let names = self.stage.attribute_names(&self.mesh)?;
-        Ok(names.iter().filter_map(|name| attribute_of(name)).map(str::to_owned).collect())
-    }
-
-    /// Reads a frame by its index; a file without time samples has one, with index 0.
+    /// Reads the frame.
     ///
     /// # Errors
     ///
-    /// [`Error::Invalid`] if there is no such frame, or if it is damaged; [`Error::TooLarge`] if it exceeds
-    /// the limits.
-    pub fn frame(&self, index: usize) -> Result<UsdcFrame> {
-        let PlacedMesh { positions, normals, triangles, origin, attributes } = self.placed_frame(index)?;
+    /// [`Error::Invalid`] if it is damaged; [`Error::TooLarge`] if it exceeds the limits.
+    pub fn frame(&self) -> Result<UsdcFrame> {
+        let PlacedMesh { positions, normals, triangles, origin, attributes } = self.placed_mesh()?;
         let positions = positions.as_chunks::<3>().0;
         let positions = positions.iter().map(|position| world(origin, *position)).collect();
         let normals = normals.as_chunks::<3>().0.to_vec();
         Ok(UsdcFrame { mesh: MeshData { positions, normals, triangles }, attributes })
     }
 
-    /// Reads a frame as it is stored.
-    fn placed_frame(&self, index: usize) -> Result<PlacedMesh> {
+    /// Reads the frame as it is stored.
+    fn placed_mesh(&self) -> Result<PlacedMesh> {
         self.stage.start_anew();
-        let time = match &self.codes {
-            None if index == 0 => None,
-            codes => {
-                let code = codes.as_ref().and_then(|codes| codes.get(index));
-                Some(*code.ok_or_else(|| unexpected(&format!("frame {index}")))?)
-            }
-        };
-        let PrimMesh { points, normals, triangles, matrix } = PrimMesh::read(&self.stage, &self.mesh, time)?;
+        let PrimMesh { points, normals, triangles, matrix } = PrimMesh::read(&self.stage, &self.mesh, None)?;
         let Values::F32(positions) = points else { return Err(unexpected("points")) };
         if normals.len() != positions.len() {
             return Err(unexpected("normals"));
@@ -129,7 +98,7 @@ impl<'a> UsdcLayer<'a> {
         let arrays = attributes(
             &self.stage,
             &self.mesh,
-            (count, time),
+            (count, None),
             |name| attribute_of(name).is_none(),
             &mut Vec::new(),
         )?;
@@ -157,7 +126,7 @@ fn layer_info(layer: &Layer) -> Result<LayerInfo> {
         Ok(layer.entry(&counts, name)?.and_then(|value| value.number()).map(|number| number as u64))
     };
     match (number("vertices")?, number("faces")?) {
-        (Some(vertices), Some(faces)) => Ok(LayerInfo { vertices, faces, frames: number("frames")? }),
+        (Some(vertices), Some(faces)) => Ok(LayerInfo { vertices, faces }),
         _ => Err(Error::unsupported(
             FORMAT,
             "this file has no summary of a mesh: another program wrote it, or it has points",
@@ -184,19 +153,4 @@ pub fn read_sampled_properties(
         }
     }
     Ok(found)
-}
-
-/// Reads the summary of a file of this crate, and the names of its vertex attributes, except normals, without
-/// its arrays.
-///
-/// # Errors
-///
-/// As [`read_sampled_properties`].
-pub fn read_layer_info(
-    file: &mut (impl Read + Seek + Send),
-    limits: &Limits,
-) -> Result<(LayerInfo, Vec<String>)> {
-    let file = SeekFile(Mutex::new(file));
-    let layer = UsdcLayer::of_file(LayerBytes::new(Rc::new(&file))?, limits)?;
-    Ok((layer.info(), layer.attribute_names()?))
 }

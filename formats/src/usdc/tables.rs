@@ -76,8 +76,8 @@ impl Tables {
         ValueRep::inlined(ValueType::Token, self.token(word))
     }
 
-    /// Adds the next path, with its fields. The first path is the root of the layer, and the second one the root prim.
-    /// The others are the children of the root prim, each followed by its properties, of which it has at least one.
+    /// Adds the next path, with its fields. The first path is the root of the layer, the second one the root prim, and the
+    /// third one its child. The others are the properties of this.
     #[expect(clippy::cast_possible_truncation, reason = "a layer has far fewer than 2³² fields")]
     pub(super) fn add_spec(&mut self, name: &str, kind: SpecType, fields: &[(&str, ValueRep)]) {
         let first = self.field_sets.len() as u32;
@@ -160,17 +160,10 @@ impl Tables {
         append_compressed(self.specs.iter().map(name), out)?;
         let mut jumps = Vec::new();
         for (at, (_, kind, _)) in self.specs.iter().enumerate() {
-            let later = &self.specs[at + 1..];
-            let is_prim = |(_, kind, _): &(u32, SpecType, u32)| *kind == SpecType::Prim;
-            jumps.push(match (kind, later.first()) {
-                (_, None) => JUMP_END,
-                (SpecType::Attribute, Some((_, SpecType::Attribute, _))) => JUMP_SIBLING,
-                (SpecType::Attribute, Some(_)) => JUMP_END,
-                (SpecType::Prim, Some((_, SpecType::Attribute, _))) => {
-                    let property_count = later.iter().position(is_prim);
-                    property_count.map_or(Ok(JUMP_CHILD), |count| index(count + 1))?
-                }
-                (SpecType::Prim | SpecType::PseudoRoot, Some(_)) => JUMP_CHILD,
+            jumps.push(match kind {
+                _ if at + 1 == self.specs.len() => JUMP_END,
+                SpecType::Attribute => JUMP_SIBLING,
+                SpecType::Prim | SpecType::PseudoRoot => JUMP_CHILD,
             });
         }
         append_compressed(jumps.into_iter(), out)
@@ -294,7 +287,7 @@ const VERSION_MAX: [u8; 3] = [0, 13, u8::MAX];
 pub(super) const BOOTSTRAP_BYTES: usize = 88;
 
 /// The offset, within the bootstrap, of the field that holds the offset of the table of contents.
-pub(super) const CONTENTS_AT: usize = 16;
+const CONTENTS_AT: usize = 16;
 
 /// The sections, in the order of the file.
 const SECTIONS: [&str; 6] = ["TOKENS", "STRINGS", "FIELDS", "FIELDSETS", "PATHS", "SPECS"];

@@ -84,8 +84,8 @@ def read_shot(path: Path) -> Shot:
         text = path.read_text(encoding="utf-8", errors="replace")
         if "stage_frames" in text[:4096]:
             return read_stage(text, stamp)
-    elif path.suffix not in (".usdc", ".abc"):
-        raise ValueError(f"{path.name} is not a stage (.usda), a shot (.usdc, .usda, .abc) or a frame in .vdb")
+    if path.suffix not in (".usda", ".usdc", ".abc"):
+        raise ValueError(f"{path.name} is not a stage (.usda), a shot (.abc) or a frame in .vdb")
     about = program.info(path)
     if "shot" not in about:
         raise ValueError(
@@ -615,7 +615,7 @@ class MENISCUS_PG_import(bpy.types.PropertyGroup):
     path: StringProperty(
         name="File",
         subtype="FILE_PATH",
-        description="A stage (.usda), which may still grow, a shot (.usdc, .usda, .abc), or one of the frames in .vdb",
+        description="A stage (.usda), which may still grow, a shot (.abc), or one of the frames in .vdb",
     )
     offset: IntProperty(name="Offset", description=OFFSET)
     keeps_rate: BoolProperty(name="Keep scene rate", description=KEEPS_RATE)

@@ -172,11 +172,10 @@ Exit status:
 
 pub(super) const PLAYING: &str = "\
 The number of a frame determines when it is shown; if a frame is missing, the
-previous frame is held. In USD the numbers are the time codes, and in an .abc
-frame n is at n / --fps seconds. In a .glb the differences between the numbers
-are divided by their greatest common divisor: frames 0, 100 and 300 play at
-frames 0, 1 and 3. If some names have no number, or the numbers do not increase,
-frames are counted from 1.
+previous frame is held. In an .abc frame n is at n / --fps seconds. In a .glb
+the differences between the numbers are divided by their greatest common
+divisor: frames 0, 100 and 300 play at frames 0, 1 and 3. If some names have no
+number, or the numbers do not increase, frames are counted from 1.
 
 The file may replace an older sequence file, and no other file.
 
@@ -185,17 +184,17 @@ per second as --fps: in Blender set the frame rate (24 by default) before
 importing. At a lower rate the scene skips frames.
 
 A .glb has a node for each frame, and shows one after the other by animating
-their scales in steps; it must stay below 4 GiB. USD and .abc have no such
-limit: each is one mesh with time samples. Do not blend between the samples:
-vertices with the same index in two frames are different points of the surface.
+their scales in steps; it must stay below 4 GiB. An .abc has no such limit: it
+is one mesh with time samples. Do not blend between the samples: vertices with
+the same index in two frames are different points of the surface.
 
 All frames are read as .glb; those in .abc or .usdc are converted in memory,
 which takes two to four times the size of the file. So a frame must stay below 4
 GiB as .glb, and the sequence file has what a .glb has: integers are floats,
 without those beyond 2^24, and there are no quads and no strings.
 
-USD and .abc also have the points of --spray beside the frames, from files such
-as dam.0012.spray.usdc: as surface_spray, with all their attributes. A .glb has
+An .abc also has the points of --spray beside the frames, from files such as
+dam.0012.spray.usdc: as surface_spray, with all their attributes. A .glb has
 only meshes.
 
 Exit status:

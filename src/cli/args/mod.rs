@@ -172,8 +172,8 @@ option_set! {
         #[arg(long, help_heading = "Run")]
         pub(super) print_settings: bool,
 
-        /// After the conversion, combine the frames into one animated .glb, .usda, .usdc or .abc, as
-        /// `meniscus sequence` does; may be repeated; requires a single sequence, and glb in --format
+        /// After the conversion, combine the frames into one animated .glb or .abc, as `meniscus sequence` does;
+        /// may be repeated; requires a single sequence, and glb in --format
         #[arg(long, value_name = "FILE", help_heading = ANIMATION)]
         pub(super) sequence: Vec<PathBuf>,
     }
@@ -791,17 +791,13 @@ pub(super) struct SequenceArgs {
     #[arg(required = true, value_name = "INPUT")]
     pub(super) inputs: Vec<PathBuf>,
 
-    /// The sequence file to write: a .glb with an animation, or a .usda, .usdc or .abc with time samples
+    /// The sequence file to write: a .glb with an animation, or an .abc with time samples
     #[arg(short, long, value_name = "FILE")]
     pub(super) out: PathBuf,
 
     /// Frames per second of the sequence file, more than 0 and at most 1000; use those of your scene
     #[arg(long, value_name = "N", default_value_t = FPS, value_parser = parse_fps)]
     pub(super) fps: f64,
-
-    /// Length of a world unit in metres, 1e-9 to 1e9, for USD [default: 1]
-    #[arg(long, value_name = "M", value_parser = ranged::<f64>(METERS_PER_UNIT))]
-    pub(super) meters_per_unit: Option<f64>,
 }
 
 /// The default frames per second.

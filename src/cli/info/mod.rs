@@ -63,7 +63,7 @@ struct FileInfo {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[serde(rename = "shot")]
     sequence: Option<SequenceFileRecord>,
-    /// The contents of a .usda of meniscus that is not a sequence file.
+    /// The contents of a .usda of meniscus.
     #[serde(skip_serializing_if = "Option::is_none")]
     layer: Option<LayerRecord>,
     /// What meniscus recorded in the file about how it was made.
@@ -233,28 +233,22 @@ impl FileInfo {
         Ok(())
     }
 
-    /// Describes a sequence in a `.usdc` or `.abc`, which may be larger than the memory, by the ends of the
-    /// file. Returns false for other files.
+    /// Describes a sequence in an `.abc`, which may be larger than the memory, by the ends of the file. Returns false
+    /// for other files.
     fn fill_large_sequence(&mut self, path: &Path) -> Result<bool> {
         let mut file = open_regular(path)?;
         let mut head = Vec::new();
         Read::by_ref(&mut file).take(HEAD_BYTES).read_to_end(&mut head)?;
-        if !abc::is_archive(&head) && !usdc::is_layer(&head) {
+        if !abc::is_archive(&head) {
             return Ok(false);
         }
-        let ProbedKind::Format(format) = probe(&head, "").kind else { return Ok(false) };
-        let made_by = made_by(ProbedKind::Format(format), &head);
+        let made_by = made_by(ProbedKind::Format(Format::Abc), &head);
         if !made_by.as_ref().is_some_and(|made_by| made_by.contains_key(gltf::SEQUENCE_FRAMES)) {
             return Ok(false);
         }
-        let read = match format {
-            Format::Usdc => usdc::read_layer_info(&mut file, &Limits::default())
-                .map(|(info, attributes)| Some((sequence_of(info, info.frames.unwrap_or(1)), attributes))),
-            _ => abc::read_sequence_info(&mut file),
-        };
-        let Some(read) = read.transpose() else { return Ok(false) };
+        let Some(read) = abc::read_sequence_info(&mut file).transpose() else { return Ok(false) };
         // These are known, and printed, even if the sequence is damaged.
-        self.kind = format.name().to_owned();
+        self.kind = Format::Abc.name().to_owned();
         self.bytes = usize::try_from(file.metadata()?.len())?;
         self.made_by = made_by;
         let (info, attributes) = read?;
@@ -285,16 +279,13 @@ impl FileInfo {
                 self.notes.extend(is_animated.then(|| note.to_owned()));
             }
             Format::Usda => match usda::read_layer_info(bytes)? {
-                Some(info @ usda::LayerInfo { frames: Some(frames), .. }) => {
-                    self.set_sequence(sequence_of(info, frames), usda::read_attribute_names(bytes));
-                }
-                Some(usda::LayerInfo { vertices, faces, frames: None }) => {
+                Some(usda::LayerInfo { vertices, faces }) => {
                     self.layer = Some(LayerRecord { vertices, faces });
                 }
                 None => self.notes.extend(self.made_by.iter().map(|made_by| stage_note(made_by, bytes))),
             },
             Format::Usdc => {
-                let frame = usdc::UsdcLayer::read(bytes, limits)?.frame(0)?;
+                let frame = usdc::UsdcLayer::read(bytes, limits)?.frame()?;
                 self.mesh = Some(MeshInfo::of(&frame.mesh).with_attributes(&frame.attributes));
             }
             Format::Abc => {
@@ -355,12 +346,6 @@ fn is_only_mesh(format: Format, bytes: &[u8], name: &str) -> bool {
 fn read_mesh_alone(bytes: &[u8], name: &str, limits: &Limits) -> meniscus_formats::Result<MeshData> {
     let no_files = |_: &str| -> io::Result<Vec<u8>> { Err(io::ErrorKind::NotFound.into()) };
     read_mesh(bytes, name, limits, &no_files)
-}
-
-/// The sequence in a layer. The faces of a sequence are triangles.
-fn sequence_of(layer: usda::LayerInfo, frames: u64) -> gltf::SequenceInfo {
-    let usda::LayerInfo { vertices, faces, .. } = layer;
-    gltf::SequenceInfo { frames, vertices, triangles: faces }
 }
 
 /// Why a step cannot be read, without the name of the step, which the caller prints.

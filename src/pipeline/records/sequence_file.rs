@@ -2,10 +2,8 @@
 //!
 //! ```text
 //!   out/dam.0012.glb  out/dam.0013.glb  ..  ──▶  dam.glb     plays in a browser, and in Blender
-//!                                           ──▶  dam.usda    one mesh with time samples
-//!                                           ──▶  dam.usdc    the same in binary
 //!                                           ──▶  dam.abc     one mesh with time samples
-//!   out/dam.0012.spray.usdc  ..             ──▶              points with time samples, except in a .glb
+//!   out/dam.0012.spray.usdc  ..             ──▶  dam.abc     points with time samples
 //! ```
 //!
 //! Frames are read only from their files. So a sequence file is the same whether one process converted its
@@ -13,9 +11,8 @@
 //! not depend on the number of frames. An `.abc` or `.usdc` of a frame is converted to a `.glb` in memory. The points
 //! of a frame are read first for what must be known of all frames, and again when they are written.
 //!
-//! The number of a frame determines when it is shown. In USD the number is the time code, as other programs
-//! write it. In an `.abc`, as in the scenes of 3D programs, frame n is at n / fps seconds. In a `.glb`, which
-//! has seconds and no numbers, the greatest common divisor of the differences between numbers is one frame of
+//! The number of a frame determines when it is shown. In an `.abc`, as in the scenes of 3D programs, frame n is at
+//! n / fps seconds. In a `.glb`, which has seconds and no numbers, the greatest common divisor of the differences between numbers is one frame of
 //! the animation: a simulation that writes every hundredth step plays like one that writes every step. In
 //! place of a missing frame, the frame before it is shown.
 
@@ -29,7 +26,7 @@ use std::sync::Arc;
 use meniscus_formats::gltf::{self, GlbFrame, SEQUENCE_FRAMES, SequenceFrame};
 use meniscus_formats::{
     Limits, OutputFormat, ParticleFrame, PointFormat, PointsSummary, SequencePoints, abc, read_provenance,
-    usda, usdc,
+    usdc,
 };
 
 use super::content::{SprayOfMesh, spray_of};
@@ -45,10 +42,6 @@ use crate::surface::words::pluralize;
 pub enum SequenceFormat {
     /// Binary glTF with an animation.
     Glb,
-    /// USD as text, with time samples.
-    Usda,
-    /// Binary USD, with time samples.
-    Usdc,
     /// Alembic.
     Abc,
 }
@@ -57,15 +50,13 @@ impl SequenceFormat {
     /// The format for the extension of a path.
     pub fn of(path: &Path) -> Option<SequenceFormat> {
         let extension = path.extension()?;
-        let formats = [SequenceFormat::Glb, SequenceFormat::Usda, SequenceFormat::Usdc, SequenceFormat::Abc];
+        let formats = [SequenceFormat::Glb, SequenceFormat::Abc];
         formats.into_iter().find(|format| extension.eq_ignore_ascii_case(format.output().extension()))
     }
 
     fn output(self) -> OutputFormat {
         match self {
             SequenceFormat::Glb => OutputFormat::Glb,
-            SequenceFormat::Usda => OutputFormat::Usda,
-            SequenceFormat::Usdc => OutputFormat::Usdc,
             SequenceFormat::Abc => OutputFormat::Abc,
         }
     }
@@ -78,15 +69,6 @@ pub struct SequenceSource {
     pub path: PathBuf,
     /// The frame's number, if it has one.
     pub number: Option<i64>,
-}
-
-/// The timing and units of a sequence file in other programs.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SequenceOptions {
-    /// Frames per second.
-    pub fps: f64,
-    /// The length of a world unit in metres, recorded in USD.
-    pub meters_per_unit: f64,
 }
 
 /// The result of writing a sequence file.
@@ -119,8 +101,8 @@ impl fmt::Display for SequenceError {
 
 impl std::error::Error for SequenceError {}
 
-/// Combines the frames, in this order, into the file at `path`, which is written atomically. Frames that
-/// cannot be read are skipped and reported.
+/// Combines the frames, in this order, into the file at `path`, which is written atomically and shows `fps` frames per
+/// second. Frames that cannot be read are skipped and reported.
 ///
 /// # Errors
 /// When no frame can be read, the format cannot hold all frames, a frame is written meanwhile, the path is
@@ -129,9 +111,8 @@ pub fn write_sequence_file(
     path: &Path,
     format: SequenceFormat,
     sources: &[SequenceSource],
-    options: SequenceOptions,
+    fps: f64,
 ) -> Result<SequenceReport, SequenceError> {
-    let SequenceOptions { fps, meters_per_unit } = options;
     let fail = |what: String| SequenceError { path: path.to_owned(), what };
     if sources.iter().any(|source| are_same_file(&source.path, path)) {
         return Err(fail("the sequence file would replace one of its frames".to_owned()));
@@ -142,12 +123,12 @@ pub fn write_sequence_file(
         return Err(no_frame(&left_out, path));
     }
     let mut report = SequenceReport { left_out, ..SequenceReport::default() };
-    report.notes.extend(points_notes(&source_frames, format));
+    report.notes.extend(points_notes(&source_frames));
     let numbers: Vec<Option<i64>> = source_frames.iter().map(|frame| frame.source.number).collect();
     let numbers = increasing(&numbers);
     let codes = match format {
         SequenceFormat::Glb => in_steps(&numbers),
-        SequenceFormat::Usda | SequenceFormat::Usdc | SequenceFormat::Abc => numbers.clone(),
+        SequenceFormat::Abc => numbers.clone(),
     };
     let (mut frames, mut opened, mut files_of_points) = (Vec::new(), Vec::new(), Vec::new());
     for (SourceFrame { source, stamp, file, points, notes }, code) in source_frames.into_iter().zip(codes) {
@@ -168,15 +149,13 @@ pub fn write_sequence_file(
     let provenance = provenance(&numbers, fps, report.point_count);
     let last = RefCell::new(None);
     let open = |index: usize| FrameReader::open(&mesh_files[index].0, index, &last);
-    let (units, points) = ((fps, meters_per_unit), points.as_ref());
+    let points = points.as_ref();
     let mut write = |out: &mut BufWriter<&File>| -> meniscus_formats::Result<()> {
         report.notes.extend(match format {
             SequenceFormat::Glb => {
                 gltf::write_sequence(&frames, fps, &provenance, open, out)?;
                 Vec::new()
             }
-            SequenceFormat::Usda => usda::write_sequence(&frames, points, units, &provenance, open, out)?,
-            SequenceFormat::Usdc => usdc::write_sequence(&frames, points, units, &provenance, open, out)?,
             SequenceFormat::Abc => abc::write_sequence(&frames, points, fps, &provenance, open, out)?,
         });
         Ok(refuse_written(&opened)?)
@@ -377,13 +356,13 @@ fn sequence_points(files: &[Option<PointsFile>]) -> Option<SequencePoints<'_>> {
 }
 
 /// Notes on points that the sequence does not have although its frames were made with them.
-fn points_notes(frames: &[SourceFrame], format: SequenceFormat) -> Option<String> {
+fn points_notes(frames: &[SourceFrame]) -> Option<String> {
     if frames.iter().any(|frame| matches!(frame.points, FramePoints::Unread)) {
-        let extension = format.output().extension();
-        return Some(format!(
-            "the points beside the frames (--spray) are missing: a sequence in .{extension} has only meshes; for \
-             both, write .usdc, .usda or .abc"
-        ));
+        return Some(
+            "the points beside the frames (--spray) are missing: a sequence in .glb has only meshes; for both, write \
+             .abc, or a stage (--stage)"
+                .to_owned(),
+        );
     }
     let mut missing = frames.iter().filter(|frame| matches!(frame.points, FramePoints::Missing));
     let first = missing.next()?.source.path.display();
