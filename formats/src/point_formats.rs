@@ -7,7 +7,7 @@ use crate::error::Result;
 use crate::limits::Limits;
 use crate::options::MeshOptions;
 use crate::table::OutputFormat;
-use crate::{abc, bgeo, npy, ply, read_particles, usda, usdc, vtk};
+use crate::{abc, bgeo, ply, read_particles, usda, usdc, vtk};
 
 /// A format of points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -24,20 +24,17 @@ pub enum PointFormat {
     Usdc,
     /// Alembic: an object with the schema `Points`.
     Abc,
-    /// A structured NumPy array.
-    Npy,
 }
 
 impl PointFormat {
     /// All formats.
-    pub const ALL: [PointFormat; 7] = [
+    pub const ALL: [PointFormat; 6] = [
         PointFormat::Ply,
         PointFormat::Vtp,
         PointFormat::Bgeo,
         PointFormat::Usda,
         PointFormat::Usdc,
         PointFormat::Abc,
-        PointFormat::Npy,
     ];
 
     /// The file extension, without the dot.
@@ -49,7 +46,6 @@ impl PointFormat {
             PointFormat::Usda => "usda",
             PointFormat::Usdc => "usdc",
             PointFormat::Abc => "abc",
-            PointFormat::Npy => "npy",
         }
     }
 
@@ -62,7 +58,6 @@ impl PointFormat {
             PointFormat::Usda => "USD as text, with a prim of the type Points",
             PointFormat::Usdc => "Binary USD, with a prim of the type Points",
             PointFormat::Abc => "Alembic, with an object of the schema Points",
-            PointFormat::Npy => "A structured NumPy array",
         }
     }
 
@@ -91,7 +86,6 @@ impl PointFormat {
             PointFormat::Usda => usda::write_particles(points, options, provenance, out),
             PointFormat::Usdc => usdc::write_particles(points, options, provenance, out),
             PointFormat::Abc => abc::write_particles(points, options, provenance, out),
-            PointFormat::Npy => npy::write(points, out),
         }
     }
 
@@ -109,9 +103,7 @@ impl PointFormat {
                 let frame = read_particles(bytes, &name, limits)?;
                 Ok(ParticleFrame { attributes: usdc::as_before(frame.attributes), ..frame })
             }
-            PointFormat::Ply | PointFormat::Vtp | PointFormat::Bgeo | PointFormat::Npy => {
-                read_particles(bytes, &name, limits)
-            }
+            PointFormat::Ply | PointFormat::Vtp | PointFormat::Bgeo => read_particles(bytes, &name, limits),
         }
     }
 
@@ -124,7 +116,6 @@ impl PointFormat {
             PointFormat::Usdc => usdc::particle_notes(points),
             PointFormat::Abc => abc::particle_notes(points),
             PointFormat::Bgeo => Vec::new(),
-            PointFormat::Npy => npy::particle_notes(points),
         }
     }
 }

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
-use meniscus_formats::{AttributeRole, Limits, ParticleFrame, Values, read_particles};
+use meniscus_formats::{AttributeRole, Limits, ParticleFrame, Values, bgeo, read_particles};
 use tempfile::{TempDir, tempdir};
 
 use crate::program::scene::{RunResult, assert_refused, meniscus, names_in};
@@ -161,7 +161,7 @@ fn changed_frames_concern_those_that_depend_on_them() {
     assert!(verify().err.contains("dam.3.spray.ply"), "{}", verify().err);
     let again = convert(folder, "out", &["--format", "obj", "--skip-done", "--spray-format", "ply"]);
     assert_eq!(again.out.matches("done already").count(), 8, "{}", again.out);
-    for (formats, done_count) in [("vtp,npy", 0), ("npy,vtp", 9)] {
+    for (formats, done_count) in [("vtp,bgeo", 0), ("bgeo,vtp", 9)] {
         let other = convert(folder, "out", &["--format", "obj", "--skip-done", "--spray-format", formats]);
         assert_eq!(other.out.matches("done already").count(), done_count, "{}", other.out);
     }
@@ -174,7 +174,7 @@ fn points_have_the_formats_of_the_meshes_or_others() {
     for (options, expected) in [
         (&["--format", "glb,vdb"][..], &["ply"][..]),
         (&["--format", "usdc,glb,abc"], &["abc", "usdc"]),
-        (&["--format", "obj", "--spray-format", "bgeo,npy,usda,vtp,npy"], &["bgeo", "npy", "usda", "vtp"]),
+        (&["--format", "obj", "--spray-format", "bgeo,usda,vtp,bgeo"], &["bgeo", "usda", "vtp"]),
     ] {
         let out = format!("formats-{}", expected[0]);
         convert(folder, &out, &[options, &["--frames", "2"]].concat());
@@ -190,11 +190,7 @@ fn points_have_the_formats_of_the_meshes_or_others() {
     // Points are no frames of their folder, and are replaced.
     let found = meniscus(folder, &["convert", "formats-bgeo", "--out", "none"]);
     assert!(found.status != 0 && !folder.join("none").exists(), "{}{}", found.out, found.err);
-    convert(
-        folder,
-        "formats-bgeo",
-        &["--format", "obj", "--spray-format", "bgeo,npy,usda,vtp", "--frames", "2"],
-    );
+    convert(folder, "formats-bgeo", &["--format", "obj", "--spray-format", "bgeo,usda,vtp", "--frames", "2"]);
 }
 
 #[test]
@@ -204,7 +200,7 @@ fn sequence_files_have_the_points_beside_the_frames() {
     fs::remove_file(folder.join("in/dam.3.ply")).expect("removed");
     // Frame 9 has no spray.
     fs::write(folder.join("in/dam.9.ply"), frame(&[], true)).expect("written");
-    let outputs = ["--format", "glb,usdc", "--spray-format", "ply,vtp,bgeo,usda,usdc,abc,npy", "--up", "z"];
+    let outputs = ["--format", "glb,usdc", "--spray-format", "ply,vtp,bgeo,usda,usdc,abc", "--up", "z"];
     let shots = ["--sequence", "shot.abc", "--sequence", "shot.glb"];
     let made = convert(folder, "out", &[&outputs[..], &["--spray-keep", "1"], &shots].concat());
     assert!(made.out.contains("shot.abc: a sequence file of 8 frames, 8 points, "), "{}", made.out);
@@ -219,7 +215,7 @@ fn sequence_files_have_the_points_beside_the_frames() {
     // The points are the same from every format, beside a frame in any format.
     let expected = fs::read(folder.join("shot.abc")).expect("readable");
     for (format, mesh) in
-        ["ply", "vtp", "bgeo", "usda", "usdc", "abc", "npy"].iter().flat_map(|f| [(f, "glb"), (f, "usdc")])
+        ["ply", "vtp", "bgeo", "usda", "usdc", "abc"].iter().flat_map(|f| [(f, "glb"), (f, "usdc")])
     {
         let only = tempdir().expect("a folder");
         for number in [1, 2, 4, 5, 6, 7, 8, 9] {
@@ -313,10 +309,10 @@ fn files_of_other_programs_with_such_names_are_ordinary_files() {
     );
     assert_eq!(result.status, 0, "{}", result.err);
     assert_eq!(names_in(&folder.join("meshes")), ["dam.1.spray.obj"]);
-    let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3), }";
-    let header = format!("{header:117}\n");
-    let array = [b"\x93NUMPY\x01\0v\0", header.as_bytes(), &[0; 24]].concat();
-    for (format, bytes) in [("npy", &array), ("ply", &fs::read(folder.join("in/dam.1.ply")).expect("read"))] {
+    let ply = fs::read(folder.join("in/dam.1.ply")).expect("read");
+    let mut bgeo = Vec::new();
+    bgeo::write(&read(&folder.join("in/dam.1.ply")), &mut bgeo).expect("written");
+    for (format, bytes) in [("bgeo", &bgeo), ("ply", &ply)] {
         let path = folder.join(format!("out/dam.1.spray.{format}"));
         fs::write(&path, bytes).expect("written");
         let options = ["--spray", "20", "--spray-format", format, "--spacing", "0.1", "--format", "obj"];

@@ -55,34 +55,6 @@ pub(super) struct StructField {
     pub(super) number: Option<(NumberType, Endian)>,
 }
 
-/// The bytes before the elements of a structured array with these fields.
-pub(super) fn written(descr: &str, count: usize) -> Vec<u8> {
-    let text = format!("{{'descr': [{descr}], 'fortran_order': False, 'shape': ({count},), }}");
-    // NumPy aligns the elements, and ends the header with a line feed. Longer headers need version 2.0.
-    let of_version = |start: usize| (start + text.len() + 1).next_multiple_of(ALIGNMENT) - start;
-    let mut bytes = MAGIC.to_vec();
-    let length = match u16::try_from(of_version(10)) {
-        Ok(length) => {
-            bytes.extend([1, 0]);
-            bytes.extend(length.to_le_bytes());
-            usize::from(length)
-        }
-        Err(_) => {
-            let length = of_version(12);
-            bytes.extend([2, 0]);
-            bytes.extend(u32::try_from(length).unwrap_or(u32::MAX).to_le_bytes());
-            length
-        }
-    };
-    bytes.extend(text.as_bytes());
-    bytes.resize(bytes.len() + length - text.len() - 1, b' ');
-    bytes.push(b'\n');
-    bytes
-}
-
-/// Where the elements of an array begin is a multiple of this.
-const ALIGNMENT: usize = 64;
-
 impl ArrayHeader {
     /// The bytes of all elements.
     pub(super) fn data<'a>(&self, bytes: &'a [u8]) -> Result<&'a [u8]> {

@@ -18,12 +18,12 @@
 mod header;
 
 use std::borrow::Cow;
-use std::io::{Read, Write};
+use std::io::Read;
 use std::sync::Arc;
 
 use crate::bytes::{Cursor, Endian};
 use crate::columns::position_rank;
-use crate::data::{FilePositions, ParticleFrame, Values};
+use crate::data::{ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
 use crate::first_column::{self, FirstColumn};
 use crate::limits::Limits;
@@ -32,7 +32,6 @@ use crate::number::{self, NumberType, components, interleaved};
 use crate::row::{Completeness, FormatRow, HeadCheck, ParticleReader};
 use crate::steps::{FoundStep, StepSource};
 use crate::text::{excerpt, excerpts};
-use crate::vertex_attributes::{StoredNumbers, UsedNames, check, plain_name, written};
 use header::{ArrayHeader, COLUMNS_MAX, ElementLayout, StructField};
 
 /// The format's name in errors.
@@ -73,84 +72,6 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     };
     frame.notes.append(&mut notes);
     Ok(frame)
-}
-
-// Writes particles as a structured array: a field for the position, and one for each attribute.
-
-/// Writes particles. Strings become indices.
-///
-/// # Errors
-///
-/// [`Error::Io`] if `out` fails; [`Error::Invalid`] if an attribute has the wrong number of values.
-pub fn write(frame: &ParticleFrame, out: &mut dyn Write) -> Result<()> {
-    check(frame, FORMAT)?;
-    let values: Vec<Cow<Values>> = frame.attributes.iter().map(written).collect();
-    let positions = match &frame.positions {
-        FilePositions::F32(positions) => StoredNumbers::F32(positions.as_flattened()),
-        FilePositions::F64(positions) => StoredNumbers::F64(positions.as_flattened()),
-    };
-    let mut fields = vec![(POSITION_FIELD.to_owned(), 3, positions)];
-    for ((attribute, name), values) in frame.attributes.iter().zip(field_names(frame)).zip(&values) {
-        fields.push((name, attribute.arity, StoredNumbers::of_particles(values)));
-    }
-    let describe = |(name, arity, numbers): &(String, usize, StoredNumbers)| {
-        let kind = kind_of(numbers);
-        if *arity == 1 {
-            format!("('{name}', '{kind}')")
-        } else {
-            format!("('{name}', '{kind}', ({arity},))")
-        }
-    };
-    let descr: Vec<String> = fields.iter().map(describe).collect();
-    let count = frame.positions.len();
-    out.write_all(&header::written(&descr.join(", "), count))?;
-    let mut bytes = Vec::new();
-    for start in (0..count).step_by(PIECE) {
-        bytes.clear();
-        for particle in start..(start + PIECE).min(count) {
-            for (_, arity, numbers) in &fields {
-                numbers.append(particle * arity..(particle + 1) * arity, &mut bytes);
-            }
-        }
-        out.write_all(&bytes)?;
-    }
-    Ok(())
-}
-
-/// Notes on attributes that a file does not hold exactly.
-pub fn particle_notes(frame: &ParticleFrame) -> Vec<String> {
-    let mut notes = Vec::new();
-    for (attribute, name) in frame.attributes.iter().zip(field_names(frame)) {
-        if attribute.name != name {
-            notes.push(format!("{} is named {name} in the .npy", attribute.name));
-        }
-        if matches!(attribute.values, Values::Strings { .. }) {
-            notes.push(format!("{name} is stored as indices in the .npy, without the strings"));
-        }
-    }
-    notes
-}
-
-const POSITION_FIELD: &str = "position";
-
-/// Number of particles encoded at a time.
-const PIECE: usize = 4096;
-
-fn field_names(frame: &ParticleFrame) -> Vec<String> {
-    let mut used = UsedNames::new(&[POSITION_FIELD]);
-    frame.attributes.iter().map(|attribute| used.take(&plain_name(&attribute.name))).collect()
-}
-
-/// NumPy's name of a type of numbers.
-fn kind_of(numbers: &StoredNumbers) -> &'static str {
-    match numbers {
-        StoredNumbers::U8(_) | StoredNumbers::Unit(_) => "|u1",
-        StoredNumbers::I32(_) | StoredNumbers::Narrow(_) | StoredNumbers::Strings(..) => "<i4",
-        StoredNumbers::Unsigned(_) => "<u4",
-        StoredNumbers::I64(_) => "<i8",
-        StoredNumbers::F32(_) => "<f4",
-        StoredNumbers::F64(_) | StoredNumbers::Rounded(_) => "<f8",
-    }
 }
 
 /// Finds the frames of an array.

@@ -181,14 +181,13 @@ pub(crate) enum SprayOfMesh {
 const SPRAY_SETTING: &str = "spray";
 
 /// Formats in which points are looked for: last those without provenance, whose files may be of an earlier run.
-const LOOKED_FOR: [PointFormat; 7] = [
+const LOOKED_FOR: [PointFormat; 6] = [
     PointFormat::Usdc,
     PointFormat::Usda,
     PointFormat::Abc,
     PointFormat::Vtp,
     PointFormat::Ply,
     PointFormat::Bgeo,
-    PointFormat::Npy,
 ];
 
 /// Finds the points that were written together with the mesh that has this provenance. A later run may have replaced

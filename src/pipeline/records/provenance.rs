@@ -91,7 +91,7 @@ fn points_option_pairs(options: &OutputOptions, format: PointFormat) -> Pairs {
         }
         PointFormat::Usda | PointFormat::Usdc => vec![up, unit],
         PointFormat::Abc => vec![up],
-        PointFormat::Ply | PointFormat::Vtp | PointFormat::Bgeo | PointFormat::Npy => Pairs::new(),
+        PointFormat::Ply | PointFormat::Vtp | PointFormat::Bgeo => Pairs::new(),
     }
 }
 
