@@ -610,8 +610,9 @@ fn accelerations_are_a_property_of_usd_meshes_and_an_attribute_elsewhere() {
 fn strings_missing_in_a_sequence_get_a_note() {
     let table = ["a".to_owned()];
     let values = VertexValues::Strings { table: &table, indices: &[0, 0, -1] };
-    let (_, notes) = sequence_of(&triangle(&[VertexAttribute { name: "kind", role: None, arity: 1, values }]))
-        .expect("a sequence");
+    let (_, notes) =
+        sequence_of(&triangle(&[VertexAttribute { name: "kind", role: None, arity: 1, values }]))
+            .expect("a sequence");
     assert!(
         notes.len() == 1 && notes[0].starts_with("_KIND is missing in the sequence: its values are strings"),
         "{notes:?}"

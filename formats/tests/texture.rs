@@ -2,10 +2,9 @@
 
 use std::io::Cursor;
 
-use meniscus_formats::gltf::{GlbFrame, SequenceFrame};
 use meniscus_formats::{
     AttributeRole, Content, FileAttribute, Limits, MeshOptions, MeshView, OutputFormat, Values, abc, gltf,
-    is_complete, ply, usda, usdc,
+    is_complete, ply, usdc,
 };
 
 use crate::mesh_formats::of_numbers;
@@ -77,7 +76,7 @@ fn usd_has_the_primvar_st() {
 
     let bytes = written(OutputFormat::Usdc, &[]);
     let layer = usdc::UsdcLayer::read(&bytes, &Limits::default()).expect("our own file");
-    let frame = layer.frame(0).expect("a frame");
+    let frame = layer.frame().expect("a frame");
     assert_eq!(numbers(&frame.attributes, "st"), ROWS.as_flattened());
 }
 
@@ -101,20 +100,6 @@ fn glb_has_coordinates_from_the_upper_left_corner_whichever_file_it_is_made_from
     }
     let attributes = abc::read_attributes(&written(OutputFormat::Abc, &[]), &limits).expect("our own file");
     assert_eq!(numbers(&attributes, "uv"), ROWS.as_flattened());
-}
-
-#[test]
-fn sequences_have_the_primvar_st() {
-    let glb = written(OutputFormat::Glb, &[]);
-    let file = GlbFrame::read(&mut Cursor::new(&glb)).expect("a frame");
-    let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
-    let mut text = Vec::new();
-    usda::write_sequence(&shot, None, (24.0, 1.0), &[], |_| Ok(Cursor::new(&glb)), &mut text)
-        .expect("written");
-    let text = String::from_utf8(text).expect("UTF-8");
-    let declared = "texCoord2f[] primvars:st (\n            interpolation = \"vertex\"\n        )\n";
-    let values = "1: [(0.75, 0), (0.875, 0), (0.875, 0.25), (0.75, 0.25)]";
-    assert!(text.contains(declared) && text.contains(values), "{text}");
 }
 
 #[test]
