@@ -405,7 +405,6 @@ mod tests {
             let limits = ClientLimits { connections_max: 1, request_timeout, write_timeout };
             let listen = Listen { address: "127.0.0.1:0".parse().expect("an address"), token: None };
             let store = Arc::new(StatusStore::new());
-            store.record_heartbeat();
             let server = HttpServer::open_within(limits, &listen, store).expect("a port");
             let mut slow = TcpStream::connect(server.address()).expect("connected");
             slow.set_read_timeout(Some(Duration::from_secs(60))).expect("set");
@@ -427,7 +426,6 @@ mod tests {
         let limits = ClientLimits { connections_max: 4, request_timeout: never, write_timeout: never };
         let listen = Listen { address: "127.0.0.1:0".parse().expect("an address"), token: None };
         let store = Arc::new(StatusStore::new());
-        store.record_heartbeat();
         let server = HttpServer::open_within(limits, &listen, store).expect("a port");
         let connect = || TcpStream::connect(server.address()).expect("connected");
         let _slow: Vec<TcpStream> = (0..4 + 2 * BRIEF_MAX).map(|_| connect()).collect();

@@ -72,7 +72,7 @@ pub use files::atomic_write::{replace_own, stop_writing, write_atomically};
 pub use files::frame_number::{is_number, natural_order};
 pub use files::host::host_name;
 pub use files::identity::{FileId, are_same_file, canonical_path, entry_key, has_other_names};
-pub(crate) use files::identity::{device_and_inode, is_still_at, real_path};
+pub(crate) use files::identity::{is_still_at, real_path};
 pub use files::input_file::InputFile;
 pub use files::named_files::NamedFiles;
 pub(crate) use files::names::text_of_name;

@@ -7,8 +7,6 @@ pub enum Notice {
     Ready,
     /// A one-line summary of the current state.
     Status(String),
-    /// A heartbeat: the daemon is not stuck. Sent at least every two seconds.
-    Alive,
     /// The daemon starts no further frames.
     Stopping,
     /// The deadline for finishing the frames in progress has passed: the caller may kill the process.

@@ -1,5 +1,5 @@
-//! The event loop: passes events to the core, carries out its effects, and sends heartbeats. It never waits
-//! for a file system; other threads do.
+//! The event loop: passes events to the core, and carries out its effects. It never waits for a file system; other
+//! threads do.
 
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
@@ -57,14 +57,11 @@ struct EventLoop<'a> {
 /// How long frames in progress may take to finish after a request to stop.
 pub const STOP_DEADLINE: Duration = Duration::from_secs(30);
 
-/// The interval of heartbeats.
+/// How often the status is reported.
 const TICK: Duration = Duration::from_secs(1);
 
 /// Maximum number of events in a batch, after the first one. After each batch, the core decides what follows from it.
 const BATCH: usize = 4096;
-
-/// How long shutdown waits for a worker that hangs.
-const GRACE: Duration = Duration::from_millis(100);
 
 impl<'a> EventLoop<'a> {
     fn new(
@@ -181,17 +178,12 @@ impl<'a> EventLoop<'a> {
         deadline.map_or(until_tick, |at| at.saturating_duration_since(now).min(until_tick))
     }
 
-    /// Sends a heartbeat, and reports the status once a second.
+    /// Reports the status once a second.
     fn tick(&mut self) {
         if self.last_tick.is_some_and(|at| at.elapsed() < TICK) {
             return;
         }
         self.last_tick = Some(Instant::now());
-        (self.notices)(Notice::Alive);
-        let now = now();
-        for event in self.workers.monitors.iter_mut().filter_map(|monitor| monitor.check(now.at)) {
-            self.core.handle(event, now);
-        }
         if let Some(store) = &self.context.store {
             store.set_status(self.core.status(resident_memory_bytes()));
         }
@@ -241,13 +233,13 @@ impl<'a> EventLoop<'a> {
         self.sync_outputs()
     }
 
-    /// Waits until all records and stages are on disk, unless a folder hangs.
+    /// Waits until all records and stages are on disk.
     fn sync_outputs(&mut self) -> Result<(), DaemonError> {
         self.unsynced_count += self.core.sync_outputs();
         self.has_unwritten = false;
         self.carry_out();
         let until = Instant::now() + STOP_DEADLINE;
-        while self.unsynced_count > 0 && Instant::now() < until && !self.core.has_stalled() {
+        while self.unsynced_count > 0 && Instant::now() < until {
             let event = self.events.recv_timeout(self.wait().max(Duration::from_millis(1)));
             self.take_batch(event.ok())?;
             self.tick();
@@ -260,16 +252,11 @@ impl<'a> EventLoop<'a> {
         let has_unwritten = self.has_unwritten || self.unsynced_count > 0;
         let summary = WatchSummary { has_unwritten, ..self.core.summary(ended) };
         // Wait until the workers' threads end: they hold locks that the next run of a caller needs.
-        let wait = if self.core.has_stalled() { GRACE } else { STOP_DEADLINE };
-        let EventLoop { workers, context, pipeline, notices, .. } = self;
+        let EventLoop { workers, context, pipeline, .. } = self;
         let guards = workers.guards.clone();
         drop((workers, context, pipeline));
-        let (began, mut alive_at) = (Instant::now(), Instant::now());
-        while guards.iter().any(|guard: &Weak<_>| guard.strong_count() > 0) && began.elapsed() < wait {
-            if alive_at.elapsed() >= TICK {
-                alive_at = Instant::now();
-                notices(Notice::Alive);
-            }
+        let until = Instant::now() + STOP_DEADLINE;
+        while guards.iter().any(|guard: &Weak<_>| guard.strong_count() > 0) && Instant::now() < until {
             std::thread::sleep(Duration::from_millis(1));
         }
         Ok(summary)
@@ -278,103 +265,5 @@ impl<'a> EventLoop<'a> {
 
 /// Whether an event still matters once no further frame starts.
 fn matters_at_the_end(event: &Event) -> bool {
-    matches!(
-        event,
-        Event::FrameReturned { .. }
-            | Event::FrameFinished(_)
-            | Event::OutputFolderChecked(_)
-            | Event::WorkerStalled(_)
-            | Event::WorkerAnswered(_)
-    )
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::fs;
-    use std::path::Path;
-    use std::thread;
-
-    use crossbeam::channel::bounded;
-
-    use crate::pipeline::{OutputFormat, OutputOptions};
-    use crate::surface::options::MethodOptions;
-    use crate::watch::config::{Order, Poll, Watch};
-    use crate::watch::core::events::{RootRequest, Worker};
-    use crate::watch::io::worker::{Heartbeat, StallMonitor, Work, spawn};
-
-    /// A file system that does not respond while the other end of the channel exists.
-    struct Hanging(Receiver<()>);
-
-    impl Work for Hanging {
-        type Request = RootRequest;
-
-        fn handle(&mut self, _request: RootRequest, _report: &dyn Fn(Event)) {
-            let _ = self.0.recv();
-        }
-
-        fn on_time(&mut self, _report: &dyn Fn(Event)) {}
-
-        fn next_time(&self) -> Instant {
-            Instant::now() + Duration::from_secs(3600)
-        }
-    }
-
-    fn watch(folder: &Path, name: &str) -> Watch {
-        fs::create_dir(folder.join(name)).expect("made");
-        Watch {
-            input: folder.join(name),
-            pattern: None,
-            has_level_sets: false,
-            sentinel: None,
-            outputs: OutputOptions::new(folder.join("out").join(name), &[OutputFormat::Obj]),
-            choices: MethodOptions { spacing: Some(1.0), ..MethodOptions::default() },
-            obstacles: Vec::new(),
-        }
-    }
-
-    fn config(watches: Vec<Watch>) -> WatchConfig {
-        WatchConfig {
-            watches,
-            once: false,
-            order: Order::Natural,
-            threads: 1,
-            memory_bytes: 1 << 30,
-            disk_floor_bytes: 0,
-            settle: Duration::ZERO,
-            temporal_wait: Duration::ZERO,
-            poll: Poll::Every(Duration::from_millis(50)),
-        }
-    }
-
-    #[test]
-    fn hanging_folder_leaves_heartbeat_status_and_end() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let config = Arc::new(config(vec![watch(folder.path(), "hanging")]));
-        let (to_loop, events) = unbounded();
-        let (core, mut workers, context) = start_workers(&config, None, &to_loop).expect("started");
-        let (answers, hanging) = bounded(0);
-        let heartbeat = Heartbeat::default();
-        workers.roots[0] =
-            spawn("hanging", Hanging(hanging), None, heartbeat.clone(), to_loop).expect("a thread");
-        workers.monitors.push(StallMonitor::new(Worker::Root(0), heartbeat, Instant::now()));
-
-        let (finish, to_obey) = bounded(1);
-        let (notice_sender, notices) = unbounded();
-        let mut send_notice = move |notice| drop(notice_sender.send(notice));
-        let running = thread::spawn(move || {
-            EventLoop::new(core, workers, context, events, &mut send_notice)?.run(&to_obey)
-        });
-        let (mut alive_count, mut is_reported) = (0, false);
-        while alive_count < 3 || !is_reported {
-            let notice = notices.recv_timeout(Duration::from_secs(60)).expect("a heartbeat");
-            alive_count += usize::from(notice == Notice::Alive);
-            is_reported |= matches!(notice, Notice::Status(status) if status.ends_with("is unavailable"));
-            assert!(alive_count < 60, "it does not say that the folder hangs");
-        }
-        finish.send(()).expect("it listens");
-        let summary = running.join().expect("no panic").expect("no error");
-        assert_eq!(summary.ended, EndReason::Finish);
-        drop(answers);
-    }
+    matches!(event, Event::FrameFinished(_) | Event::OutputFolderChecked(_))
 }

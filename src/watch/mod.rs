@@ -3,13 +3,11 @@
 //!
 //! ```text
 //!   core         decides: state and events in, effects out; no files, clocks or threads
-//!   event_loop   one thread: passes events to the core, carries out its effects, sends heartbeats
+//!   event_loop   one thread: passes events to the core, carries out its effects
 //!   io           threads that may block: one per watched folder and per folder of outputs, one for slow
 //!                requests, and the pipeline
 //!   status_store what users see: frames, status, counters
 //! ```
-//!
-//! While a file system hangs, frames wait, also those of other folders; the event loop continues.
 //!
 //! The daemon may be killed at any moment. What it remembers is in the records of the folder of outputs
 //! (`FrameRecords`), which may be lost: then frames are converted again. Outputs are renamed into place when they

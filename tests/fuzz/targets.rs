@@ -325,13 +325,11 @@ fn with_checksum(line: &[u8]) -> Vec<u8> {
 
 /// Sends bytes to the HTTP server and reads the response. The next request must succeed.
 fn http(bytes: &[u8]) {
-    static SERVER: OnceLock<(HttpServer, Arc<StatusStore>)> = OnceLock::new();
-    let (server, store) = SERVER.get_or_init(|| {
+    static SERVER: OnceLock<HttpServer> = OnceLock::new();
+    let server = SERVER.get_or_init(|| {
         let address = "127.0.0.1:0".parse().expect("an address");
-        let store = Arc::new(StatusStore::new());
-        (HttpServer::open(&Listen { address, token: None }, Arc::clone(&store)).expect("a server"), store)
+        HttpServer::open(&Listen { address, token: None }, Arc::new(StatusStore::new())).expect("a server")
     });
-    store.record_heartbeat();
     let mut stream = connect(server.address());
     // Writing fails if the server has refused the request already, and does not read the rest.
     let _ = stream.write_all(bytes);

@@ -35,8 +35,6 @@ impl Service {
         fs::write(folder.path().join("meniscus.toml"), config).expect("written");
         let child = command(folder.path(), &["watch", "--config", "meniscus.toml"])
             .env("NOTIFY_SOCKET", &socket)
-            .env("WATCHDOG_USEC", "1000000")
-            .env_remove("WATCHDOG_PID")
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             .spawn()
@@ -82,7 +80,6 @@ impl Drop for Service {
 fn systemd_is_notified_of_every_state_of_the_daemon() {
     let mut service = Service::start("formats = [\"ply\"]");
     service.receives("READY=1");
-    service.receives("WATCHDOG=1");
     write_sequence(&service.path().join("in"), 1, 2);
     service.receives("STATUS=2 done, 0 queued");
     assert_eq!(names_in(&service.path().join("out")), ["dam.1.ply", "dam.2.ply"]);

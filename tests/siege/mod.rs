@@ -7,8 +7,6 @@
 #![cfg(target_os = "linux")]
 
 mod disk; // a disk that fills up, or is too full from the start
-mod fuse; // a file system whose server can be stopped
-mod hangs; // file systems that stop responding
 mod memory; // large frames with little memory
 mod mounts; // mount namespaces for tests that mount file systems
 mod poll; // periodic scans without file-system events

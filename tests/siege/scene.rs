@@ -51,19 +51,13 @@ pub(crate) struct Daemon {
 impl Daemon {
     /// Starts `meniscus watch` in `folder`, and does not wait.
     pub(crate) fn start(folder: &Path, arguments: &[&str]) -> Daemon {
-        Daemon::start_as(meniscus(folder).arg("watch").args(arguments).args(["--log", "json"]))
-    }
-
-    /// Starts `meniscus watch` with a watchdog that expects a message every two seconds.
-    pub(crate) fn start_watched(folder: &Path, arguments: &[&str]) -> Daemon {
-        Daemon::start_as(meniscus(folder).arg("watch").args(arguments).env("WATCHDOG_USEC", "2000000"))
-    }
-
-    fn start_as(command: &mut Command) -> Daemon {
         let socket_folder = tempfile::tempdir().expect("a folder");
         let socket_path = socket_folder.path().join("notify");
         let socket = UnixDatagram::bind(&socket_path).expect("a socket");
-        let mut child = command
+        let mut child = meniscus(folder)
+            .arg("watch")
+            .args(arguments)
+            .args(["--log", "json"])
             .env("NOTIFY_SOCKET", &socket_path)
             .stdin(Stdio::null())
             .stdout(Stdio::null())
@@ -140,37 +134,6 @@ impl Daemon {
     pub(crate) fn has_status(&self, text: &str) -> bool {
         let mut statuses = self.notices.iter().filter(|notice| notice.contains("STATUS="));
         statuses.next_back().is_some_and(|status| status.contains(text))
-    }
-
-    /// The number of messages to the watchdog.
-    pub(crate) fn signs_of_life(&self) -> usize {
-        self.notices.iter().filter(|notice| notice.contains("WATCHDOG=1")).count()
-    }
-
-    /// The address of the status page, as `host:port`.
-    pub(crate) fn window_address(&mut self) -> String {
-        self.until("serving the status page", |daemon| daemon.count_logged("serving the status page") > 0);
-        let line = self.log.iter().find(|line| message(line) == "serving the status page").expect("logged");
-        let address = line["address"].as_str().expect("an address");
-        address.trim_start_matches("http://").trim_end_matches('/').to_owned()
-    }
-
-    /// Waits until the daemon has ended, with any result.
-    pub(crate) fn until_ended(&mut self) {
-        self.until("it ends", |daemon| daemon.has_ended);
-        self.child.wait().expect("it ended");
-    }
-
-    /// Waits until the daemon has ended, or is a zombie. A process that has exited stays a zombie while one
-    /// of its threads waits for a file server in the kernel: no signal can end this wait.
-    pub(crate) fn until_exited(&mut self, within: Duration) {
-        let deadline = Instant::now() + within;
-        let stat = format!("/proc/{}/stat", self.pid());
-        let is_zombie = || fs::read_to_string(&stat).is_ok_and(|stat| stat.contains(") Z "));
-        while !self.has_ended && !is_zombie() {
-            assert!(Instant::now() < deadline, "it has not exited:\n{}", self.everything());
-            self.receive_until(Instant::now() + Duration::from_millis(50));
-        }
     }
 
     pub(crate) fn pid(&self) -> u32 {
@@ -274,7 +237,7 @@ pub(crate) fn stage_seconds(line: &Value) -> f64 {
 /// The command, set up to run in this folder.
 pub(crate) fn meniscus(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
-    command.current_dir(folder).env_remove("NOTIFY_SOCKET").env_remove("WATCHDOG_USEC");
+    command.current_dir(folder).env_remove("NOTIFY_SOCKET");
     command
 }
 

@@ -36,7 +36,7 @@ use super::wording::{FRAMES_IN_VIEW, failed_validation, pluralize};
 use plan::WatchPlan;
 pub(super) use plan::make_plan;
 #[cfg(target_os = "linux")]
-use service::Service;
+use service::notify;
 use signals::Shutdown;
 
 /// Watches until it receives a signal to stop or, with `--once`, until all existing frames are converted.
@@ -50,13 +50,12 @@ pub(super) fn watch(args: &WatchArgs) -> Result<CommandOutcome> {
         warn!("{warning}");
     }
     let (sender, finish) = unbounded();
-    signals::listen(Arc::new(Shutdown::new(sender, args.once)))?;
-    let mut service = Service::new();
+    signals::listen(Arc::new(Shutdown::new(sender)))?;
     let store = listen.as_ref().map(|_| Arc::new(StatusStore::new()));
     let _window = open_http_server(listen.as_ref(), store.as_ref())?;
     let mut notices = |notice: Notice| match notice {
         Notice::Overdue => exit_immediately(args.once),
-        notice => service.notify(&notice),
+        notice => notify(&notice),
     };
     match watch::run(&config, store.as_ref(), &finish, &mut notices) {
         Ok(summary) => {
@@ -72,16 +71,7 @@ pub(super) fn watch(args: &WatchArgs) -> Result<CommandOutcome> {
 
 /// The service manager of other systems, which needs no notifications.
 #[cfg(not(target_os = "linux"))]
-struct Service;
-
-#[cfg(not(target_os = "linux"))]
-impl Service {
-    fn new() -> Service {
-        Service
-    }
-
-    fn notify(&mut self, _notice: &Notice) {}
-}
+fn notify(_notice: &Notice) {}
 
 /// Serves the status store by HTTP.
 fn open_http_server(listen: Option<&Listen>, store: Option<&Arc<StatusStore>>) -> Result<Option<HttpServer>> {

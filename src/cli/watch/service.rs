@@ -4,11 +4,8 @@
 //! ```text
 //!   Notice::Ready      READY=1
 //!   Notice::Status     STATUS=…
-//!   Notice::Alive      WATCHDOG=1     if a watchdog is configured, at most twice per timeout
 //!   Notice::Stopping   STOPPING=1
 //! ```
-
-use std::time::{Duration, Instant};
 
 use meniscus_formats::escaped;
 use sd_notify::NotifyState;
@@ -16,44 +13,14 @@ use tracing::warn;
 
 use crate::watch::Notice;
 
-/// Sends the notices of the event loop to the service manager.
-pub(super) struct Service {
-    /// The watchdog timeout, after which systemd kills a silent service.
-    watchdog: Option<Duration>,
-    last_sign: Option<Instant>,
-}
-
-impl Service {
-    pub(super) fn new() -> Service {
-        Service { watchdog: sd_notify::watchdog_enabled(), last_sign: None }
-    }
-
-    pub(super) fn notify(&mut self, notice: &Notice) {
+/// Sends a notice of the event loop to the service manager.
+pub(super) fn notify(notice: &Notice) {
+    match notice {
+        Notice::Ready => send(NotifyState::Ready),
         // A line break, for example in a folder's name, would start another message.
-        let escaped_status = match notice {
-            Notice::Status(status) => Some(Notice::Status(escaped(status).to_string())),
-            _ => None,
-        };
-        if let Some(message) = self.message(escaped_status.as_ref().unwrap_or(notice), Instant::now()) {
-            send(message);
-        }
-    }
-
-    fn message<'a>(&mut self, notice: &'a Notice, now: Instant) -> Option<NotifyState<'a>> {
-        match notice {
-            Notice::Ready => Some(NotifyState::Ready),
-            Notice::Status(status) => Some(NotifyState::Status(status)),
-            Notice::Stopping => Some(NotifyState::Stopping),
-            Notice::Overdue => None,
-            Notice::Alive => {
-                let half = self.watchdog? / 2;
-                if self.last_sign.is_some_and(|last| now.saturating_duration_since(last) < half) {
-                    return None;
-                }
-                self.last_sign = Some(now);
-                Some(NotifyState::Watchdog)
-            }
-        }
+        Notice::Status(status) => send(NotifyState::Status(&escaped(status).to_string())),
+        Notice::Stopping => send(NotifyState::Stopping),
+        Notice::Overdue => {}
     }
 }
 
@@ -70,27 +37,11 @@ mod tests {
     use std::os::unix::net::UnixDatagram;
     use std::process::Command;
 
-    #[test]
-    fn heartbeats_are_sent_at_most_twice_per_timeout() {
-        let mut service = Service { watchdog: Some(Duration::from_secs(10)), last_sign: None };
-        let start = Instant::now();
-        let received = |service: &mut Service, second| {
-            service.message(&Notice::Alive, start + Duration::from_secs(second)).is_some()
-        };
-        let times: Vec<u64> = (0..=16).step_by(2).filter(|&second| received(&mut service, second)).collect();
-        assert_eq!(times, [0, 6, 12]);
-        let mut unwatched = Service { watchdog: None, last_sign: None };
-        assert!(!received(&mut unwatched, 0));
-    }
-
     /// Sends every kind of message.
     fn send_all_messages() {
-        let mut service = Service::new();
-        service.notify(&Notice::Ready);
-        service.notify(&Notice::Alive);
-        service.notify(&Notice::Alive);
-        service.notify(&Notice::Status("3 frames wait\nMAINPID=1".into()));
-        service.notify(&Notice::Stopping);
+        notify(&Notice::Ready);
+        notify(&Notice::Status("3 frames wait\nMAINPID=1".into()));
+        notify(&Notice::Stopping);
     }
 
     /// Set in the child process of the test below.
@@ -111,8 +62,6 @@ mod tests {
             .args(["--exact", name])
             .env(CHILD, "")
             .env("NOTIFY_SOCKET", &path)
-            .env("WATCHDOG_USEC", "60000000")
-            .env_remove("WATCHDOG_PID")
             .output()
             .expect("it starts");
         assert!(String::from_utf8_lossy(&output.stdout).contains("1 passed"), "{output:?}");
@@ -122,8 +71,10 @@ mod tests {
         while let Ok(count) = socket.recv(&mut bytes) {
             messages.push(String::from_utf8_lossy(&bytes[..count]).trim_end().to_owned());
         }
-        let [ready, alive, status, stopping] = &messages[..] else { panic!("{messages:?}") };
-        assert_eq!((&**ready, &**alive), ("READY=1", "WATCHDOG=1"));
-        assert_eq!((&**status, &**stopping), ("STATUS=3 frames wait\\nMAINPID=1", "STOPPING=1"));
+        let [ready, status, stopping] = &messages[..] else { panic!("{messages:?}") };
+        assert_eq!(
+            (&**ready, &**status, &**stopping),
+            ("READY=1", "STATUS=3 frames wait\\nMAINPID=1", "STOPPING=1")
+        );
     }
 }

@@ -203,28 +203,16 @@ pub(crate) fn sync_while<T, E: From<io::Error>>(
 const SYNC_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Removes all temporary files, and blocks all further writes and renames. For a process that exits right
-/// afterwards: every thread that writes waits forever. This function does not wait for a file system that
-/// hangs: the next start of the program removes the temporary files that are left there.
+/// afterwards: every thread that writes waits forever.
 pub fn stop_writing() {
-    let (done, is_done) = channel();
-    let stop = move || {
-        let temporaries = active_temporaries();
-        for path in temporaries.iter() {
-            // An error cannot be reported any more.
-            let _ = fs::remove_file(path);
-        }
-        remove_left_behind();
-        std::mem::forget(temporaries);
-        let _ = done.send(());
-    };
-    // If no thread can be started, or after the time limit, temporary files stay.
-    if thread::Builder::new().name("stop".into()).spawn(stop).is_ok() {
-        let _ = is_done.recv_timeout(STOP_TIMEOUT);
+    let temporaries = active_temporaries();
+    for path in temporaries.iter() {
+        // An error cannot be reported any more.
+        let _ = fs::remove_file(path);
     }
+    remove_left_behind();
+    std::mem::forget(temporaries);
 }
-
-/// Time limit for removing temporary files: longer than any file system takes that still responds.
-const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 
 #[cfg(test)]
 mod tests {
@@ -306,35 +294,6 @@ mod tests {
         let mut found = names_in(folder.path());
         found.sort();
         assert_eq!(found, names);
-    }
-
-    /// Set in the child of the test below.
-    const CHILD: &str = "MENISCUS_TEST_STOP";
-
-    #[test]
-    fn stop_does_not_wait_for_a_writer_that_hangs() {
-        let name = "stop_does_not_wait_for_a_writer_that_hangs";
-        if std::env::var_os(CHILD).is_some() {
-            // Holds the lock, like a writer whose rename hangs in the file system.
-            let _held = active_temporaries();
-            thread::spawn(|| {
-                stop_writing();
-                std::process::exit(3);
-            });
-            loop {
-                thread::park();
-            }
-        }
-        let mut child = std::process::Command::new(std::env::current_exe().expect("this test"));
-        let mut child =
-            child.arg(name).env(CHILD, "1").stdout(std::process::Stdio::null()).spawn().expect("a child");
-        let start = std::time::Instant::now();
-        while child.try_wait().expect("a child").is_none() && start.elapsed() < 12 * STOP_TIMEOUT {
-            thread::sleep(Duration::from_millis(10));
-        }
-        // Killing a process that has exited does nothing.
-        let _ = child.kill();
-        assert_eq!(child.wait().expect("ended").code(), Some(3), "it waits");
     }
 
     #[test]

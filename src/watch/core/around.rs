@@ -128,7 +128,7 @@ impl Core {
     }
 
     fn has_to_wait(&self, id: &FrameId, reach: FrameReach) -> bool {
-        if self.config.once && !self.was_scanned(id.root) {
+        if self.config.once && !self.roots[id.root].was_scanned {
             return true;
         }
         let around = self.known_around(id, reach);
@@ -141,11 +141,6 @@ impl Core {
         }
         let Some((frame, number)) = self.frames.get(id).zip(self.number_of(id)) else { return false };
         !self.config.once && self.sequences.get(frame.sequence).numbered.may_grow_after(number, reach.beside)
-    }
-
-    /// Whether all that a root has is known, or cannot be known because it hangs.
-    fn was_scanned(&self, root: usize) -> bool {
-        self.roots[root].was_scanned || self.roots[root].has_stalled
     }
 
     /// A frame is complete or was converted: those around it may have to be converted again.
@@ -182,7 +177,8 @@ impl Core {
         }
         // Which frames are complete is known once all inspections have ended.
         let is_known = |sequence: usize| {
-            self.was_scanned(self.sequences.get(sequence).root) && !self.frames.is_inspecting(Some(sequence))
+            self.roots[self.sequences.get(sequence).root].was_scanned
+                && !self.frames.is_inspecting(Some(sequence))
         };
         let known: Vec<usize> = self.doubtful_around.keys().copied().filter(|at| is_known(*at)).collect();
         for id in

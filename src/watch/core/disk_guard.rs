@@ -18,8 +18,6 @@ pub(crate) struct DiskGuard {
 enum WriteBlock {
     /// There is not enough free space.
     Full(Full),
-    /// The folder is missing: its file system is not mounted.
-    Unmounted(PathBuf),
     /// The system refuses for a reason other than space. The next attempt is at this time.
     Refused(String, Instant),
 }
@@ -38,8 +36,6 @@ struct Full {
 #[derive(Clone, Debug)]
 pub(crate) struct FoundSpace<'a> {
     pub(crate) folder: &'a Path,
-    /// Whether the folder is mounted.
-    pub(crate) is_mounted: bool,
     /// Free bytes, if the file system reports them.
     pub(crate) free_bytes: Option<u64>,
 }
@@ -90,10 +86,6 @@ impl DiskGuard {
     /// Decides again, from the current state of the folders, whether frames may start. A folder with unknown
     /// free space does not block, because an attempt to write there reports what is wrong.
     pub(crate) fn check(&mut self, found: &[FoundSpace<'_>], now: Instant) {
-        if let Some(absent) = found.iter().find(|found| !found.is_mounted) {
-            self.block = Some(WriteBlock::Unmounted(absent.folder.to_owned()));
-            return;
-        }
         match &mut self.block {
             Some(WriteBlock::Full(full)) => {
                 let of_disk = found.iter().find(|found| full.folder.starts_with(found.folder));
@@ -122,7 +114,6 @@ impl DiskGuard {
     pub(crate) fn reason(&self) -> Option<String> {
         Some(match self.block.as_ref()? {
             WriteBlock::Refused(reason, _) => format!("{reason}; trying again soon"),
-            WriteBlock::Unmounted(folder) => format!("{} is not mounted; waiting for it", folder.display()),
             WriteBlock::Full(Full { folder, wanted_bytes, free_bytes, .. }) => format!(
                 "{} has {} free; waiting for {}",
                 folder.display(),
@@ -140,17 +131,7 @@ mod tests {
     const OUT: &str = "/out";
 
     fn found(free_bytes: u64) -> [FoundSpace<'static>; 1] {
-        [FoundSpace { folder: Path::new(OUT), is_mounted: true, free_bytes: Some(free_bytes) }]
-    }
-
-    #[test]
-    fn unmounted_folder_blocks_until_it_is_back() {
-        let now = Instant::now();
-        let mut guard = DiskGuard::new(0);
-        guard.check(&[FoundSpace { is_mounted: false, ..found(0)[0].clone() }], now);
-        assert!(guard.reason().is_some_and(|why| why.ends_with("is not mounted; waiting for it")));
-        guard.check(&found(0), now);
-        assert_eq!(guard.reason(), None);
+        [FoundSpace { folder: Path::new(OUT), free_bytes: Some(free_bytes) }]
     }
 
     #[test]

@@ -58,8 +58,6 @@ pub(crate) enum Event {
     StepsFound(FoundSteps),
     /// The pipeline has a free slot for a frame.
     FrameRequested,
-    /// The pipeline returns a frame that it cannot start, because its outputs cannot be written now.
-    FrameReturned { id: FrameId, frame: Box<Frame>, found: OutputFolderState },
     /// The pipeline has finished with a frame.
     FrameFinished(Box<FrameFinished>),
     /// All frames of the pipeline are finished, and it has ended.
@@ -68,19 +66,6 @@ pub(crate) enum Event {
     OutputFolderChecked(OutputFolderState),
     /// The answer to [`OutputRequest::Sync`]: whether the records and the stages are on the disk.
     OutputSynced(bool),
-    /// A worker has not answered for a long time.
-    WorkerStalled(Worker),
-    /// A worker that had stalled has answered.
-    WorkerAnswered(Worker),
-}
-
-/// A thread that does the I/O of one watched folder or of one folder of outputs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) enum Worker {
-    /// The worker of the root with this index.
-    Root(usize),
-    /// The worker of the folder of outputs with this index.
-    Output(usize),
 }
 
 /// What a scan found.
@@ -102,19 +87,10 @@ pub(crate) struct Scan {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OutputFolderState {
     pub(crate) output: usize,
-    pub(crate) presence: Presence,
+    /// Whether it was removed, and is created again.
+    pub(crate) was_removed: bool,
     /// Free bytes, if the file system reports them.
     pub(crate) free_bytes: Option<u64>,
-}
-
-/// Whether a folder of outputs is the one that was opened.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Presence {
-    Present,
-    /// It was removed and has been created again; its contents are lost.
-    Recreated,
-    /// Another file system is in its place, because its own is not mounted.
-    Missing,
 }
 
 /// The stamps of the obstacles of frames, by frame number.
@@ -130,7 +106,7 @@ pub(crate) enum FoundObstacleStamps {
 pub(crate) struct FrameFinished {
     pub(crate) id: FrameId,
     pub(crate) outcome: Outcome,
-    /// Free bytes on the disk, if the frame failed because the disk is full.
+    /// Free bytes on the disk of the outputs, if the file system reports them.
     pub(crate) free_bytes: Option<u64>,
     /// The files besides its own from which the frame would be read, if it cannot be read.
     pub(crate) named: Option<Arc<NamedFiles>>,
@@ -197,8 +173,6 @@ pub(crate) enum InspectionResult {
     Same,
     /// Outputs and obstacles are as recorded.
     AsRecorded,
-    /// Its outputs are missing because their folder is not mounted.
-    OutputsAway,
     /// It is incomplete.
     Waiting { until: Option<Instant>, why: Reason },
     /// It is complete.
@@ -280,8 +254,6 @@ pub(crate) struct UnreadableFrame {
 pub(crate) enum OutputRequest {
     /// Write a record, then this log line: the log never runs ahead of the records.
     Record(RecordLine, Option<Log>),
-    /// Check the folder now.
-    Check,
     /// Sync the records to the disk and write the stages, because the daemon is about to exit.
     Sync,
 }

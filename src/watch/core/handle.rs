@@ -8,9 +8,9 @@ use crate::pipeline::natural_order;
 use crate::watch::api::{EndReason, FailedFrame, WatchSummary};
 
 use super::completeness::path_of_sentinel;
-use super::events::{Effect, Event, FrameToConvert, Now, OutputFolderState, OutputRequest, Presence, Worker};
+use super::events::{Effect, Event, FrameToConvert, Now, OutputFolderState, OutputRequest};
 use super::frames::{FrameCounts, FrameId, FramePhase, FrameState};
-use super::state::{Core, RootState, STALL_AFTER};
+use super::state::{Core, RootState};
 
 impl Core {
     /// Handles an event. Its effects are returned by [`Core::take_effects`].
@@ -28,17 +28,8 @@ impl Core {
             Event::Measured(measured) => self.on_measured(*measured),
             Event::StepsFound(found) => self.on_steps_found(found),
             Event::FrameRequested => self.requested_count += 1,
-            Event::FrameReturned { id, frame, found } => {
-                if let Some(modified_ns) = self.frames.get(&id).map(|state| state.stamp.modified_ns) {
-                    self.set_phase(&id, FramePhase::Queued);
-                    self.queue.push(&id, frame, modified_ns);
-                }
-                self.on_output_folder_checked(found);
-            }
             Event::FrameFinished(finished) => self.on_finished(*finished),
             Event::OutputFolderChecked(found) => self.on_output_folder_checked(found),
-            Event::WorkerStalled(worker) => self.set_stalled(worker, true),
-            Event::WorkerAnswered(worker) => self.set_stalled(worker, false),
             // The event loop handles these.
             Event::PipelineEnded | Event::OutputSynced(_) => {}
         }
@@ -86,34 +77,11 @@ impl Core {
         }
     }
 
-    fn set_stalled(&mut self, worker: Worker, has_stalled: bool) {
-        let folder = match worker {
-            Worker::Root(root) => {
-                self.roots[root].has_stalled = has_stalled;
-                self.root_path(root).to_owned()
-            }
-            Worker::Output(output) => {
-                self.output_folders[output].has_stalled = has_stalled;
-                self.output_folders[output].folder.clone()
-            }
-        };
-        self.log_about(folder, move |folder| {
-            if has_stalled {
-                tracing::warn!(
-                    %folder,
-                    "folder is unavailable: its file system has not responded for {STALL_AFTER:?}"
-                );
-            } else {
-                tracing::info!(%folder, "file system responds again");
-            }
-        });
-    }
-
     fn on_output_folder_checked(&mut self, found: OutputFolderState) {
-        let OutputFolderState { output, presence, free_bytes } = found;
+        let OutputFolderState { output, was_removed, free_bytes } = found;
         let output = &mut self.output_folders[output];
-        (output.is_mounted, output.free_bytes) = (presence != Presence::Missing, free_bytes);
-        if presence == Presence::Recreated {
+        output.free_bytes = free_bytes;
+        if was_removed {
             let folder = output.folder.clone();
             self.log_about(
                 folder,
@@ -125,12 +93,9 @@ impl Core {
         self.check_space();
     }
 
-    /// Whether every folder was scanned once, except folders that hang. If no folder hangs, the files must
-    /// have been inspected, too.
+    /// Whether every folder was scanned once, and the files were inspected.
     pub(crate) fn is_ready(&self) -> bool {
-        let is_waiting = self.roots.iter().any(|root| !root.was_scanned && !root.has_stalled);
-        let hangs = self.roots.iter().any(|root| root.has_stalled);
-        !is_waiting && (hangs || !self.frames.is_inspecting(None))
+        self.roots.iter().all(|root| root.was_scanned) && !self.frames.is_inspecting(None)
     }
 
     /// The first root that cannot be scanned, and why.
@@ -192,12 +157,6 @@ impl Core {
         self.is_stopping
     }
 
-    /// Whether a folder hangs.
-    pub(crate) fn has_stalled(&self) -> bool {
-        self.roots.iter().any(|root| root.has_stalled)
-            || self.output_folders.iter().any(|output| output.has_stalled)
-    }
-
     /// Requests that all records be synced to disk, and all stages written; returns the number of folders.
     pub(crate) fn sync_outputs(&mut self) -> usize {
         for output in 0..self.output_folders.len() {
@@ -219,9 +178,7 @@ impl Core {
         }
         let unreadable = self.roots.iter().flat_map(|root| &root.unreadable);
         let unreadable = unreadable.map(|(path, why)| (&**path, &**why));
-        // With `once`, the run does not wait for a folder that hangs.
-        let hanging = self.unavailable().filter(|_| self.config.once);
-        for (path, why) in unreadable.chain(hanging) {
+        for (path, why) in unreadable {
             let frames_since = Some(self.finished_count);
             failed.push(FailedFrame { message: about(path, why), frames_since });
         }

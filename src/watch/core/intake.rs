@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use meniscus_formats::Neighbor;
 
@@ -33,9 +33,6 @@ use super::events::{
 use super::frames::{FrameId, FramePhase, FrameState};
 use super::sequences::{SequenceSettings, obstacle_stamp};
 use super::state::{Core, Failure, OutputFolder};
-
-/// How soon to inspect again a frame whose outputs are on an unmounted disk.
-const AWAY_RETRY: Duration = Duration::from_secs(1);
 
 impl Core {
     /// A file of a root was seen.
@@ -333,7 +330,7 @@ impl Core {
         if self.frames.get(id).is_some_and(|frame| frame.was_closed) {
             return self.inspect(id, None);
         }
-        if let Some(record) = self.record_of(id).filter(|_| self.output_folder(id.root).is_mounted).cloned() {
+        if let Some(record) = self.record_of(id).cloned() {
             // The settings are current, and obstacles are inspected separately.
             self.inspect(id, Some(RecordCheck { record, checks_obstacles: false }));
         }
@@ -345,7 +342,7 @@ impl Core {
         let is_refused = self.failed.get(id).is_some_and(|failure| failure.is_refusal);
         let owner = self.claims.get(&self.claim(id));
         let is_owned = owner.is_some_and(|owner| owner != id && self.may_exist(owner));
-        if is_refused && !is_owned && self.output_folder(id.root).is_mounted {
+        if is_refused && !is_owned {
             self.inspect(id, None);
         }
     }
@@ -413,7 +410,6 @@ impl Core {
         let Inspected { id, number, found, obstacles } = inspected;
         let Some(frame) = self.frames.take_inspection(&id, number) else { return };
         let is_settling = matches!(frame.phase, FramePhase::Settling(_));
-        let is_waiting = is_settling || matches!(frame.phase, FramePhase::Retrying(_));
         let bytes = frame.stamp.size;
         frame.obstacles = obstacles;
         let was_inspected = std::mem::replace(&mut frame.was_inspected, true);
@@ -427,10 +423,7 @@ impl Core {
             InspectionResult::Unreadable(error) => self.on_file_unreadable(&id, error),
             InspectionResult::Changed(seen, at) => self.on_file_seen(&id, &seen, at, FileHint::Changed),
             InspectionResult::AsRecorded if is_settling => self.restore_record(&id),
-            InspectionResult::OutputsAway if is_waiting => {
-                self.frames.set_alarm(&id, self.now.at + AWAY_RETRY)
-            }
-            InspectionResult::Same | InspectionResult::AsRecorded | InspectionResult::OutputsAway => {}
+            InspectionResult::Same | InspectionResult::AsRecorded => {}
             InspectionResult::Waiting { until, why } => {
                 self.note_waiting(&id, &why);
                 self.log_about(
@@ -620,7 +613,7 @@ impl Core {
     /// Requests the stamps of the obstacles of finished frames of a root: obstacles may have changed since.
     /// The file system sends no events for them.
     fn stamp_obstacles(&mut self, root: usize) {
-        if self.roots[root].obstacles.is_empty() || !self.output_folder(root).is_mounted {
+        if self.roots[root].obstacles.is_empty() {
             return;
         }
         let frames = self.frames.iter().filter(|(id, frame)| id.root == root && has_ended(frame));

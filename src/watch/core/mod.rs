@@ -6,7 +6,7 @@
 //!   state          the fields                    events         the inputs and outputs
 //!   frames         the phase of each frame       completeness   when a file is complete
 //!   sequences      settings, resolved once       decision       why a recorded frame is converted again
-//!   disk_guard     free space and mounts         publish        views for clients
+//!   disk_guard     free space                    publish        views for clients
 //!   around         frames that are averaged with those around them
 //! ```
 //!

@@ -19,6 +19,7 @@ impl Core {
     pub(super) fn on_finished(&mut self, finished: FrameFinished) {
         let FrameFinished { id, outcome, free_bytes, named } = finished;
         self.finished_count += 1;
+        self.output_folders[self.output_folder_of[id.root]].free_bytes = free_bytes;
         let Some(frame) = self.frames.get_mut(&id) else { return };
         frame.named = named;
         // Until its outcome is handled, the frame counts as queued again; if it was not started, it stays so.

@@ -124,12 +124,7 @@ impl Core {
 
     /// Folders that are unavailable, and why.
     pub(super) fn unavailable(&self) -> impl Iterator<Item = (&Path, &str)> {
-        let roots = self.roots.iter().filter_map(|root| {
-            let stalled = root.has_stalled.then_some(STALLED);
-            Some((&*root.path, stalled.or(root.unavailable.as_deref())?))
-        });
-        let stalled = self.output_folders.iter().filter(|output| output.has_stalled);
-        roots.chain(stalled.map(|output| (&*output.folder, STALLED)))
+        self.roots.iter().filter_map(|root| Some((&*root.path, root.unavailable.as_deref()?)))
     }
 
     /// The state of the daemon in one line.
@@ -157,9 +152,6 @@ impl Core {
         status
     }
 }
-
-/// Why a folder is unavailable if its file system hangs.
-const STALLED: &str = "its file system does not respond";
 
 /// The state that clients see; `None` for files that are not frames.
 fn state_of(phase: FramePhase) -> Option<FrameProgress> {

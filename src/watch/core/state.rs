@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::path::{self, Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
 
 use crate::pipeline::{DaemonRecord, DaemonState, LatestRecords, ObstacleFiles, OutputOptions, RecordLine};
 use crate::watch::config::{Watch, WatchConfig};
@@ -67,8 +66,6 @@ pub(crate) struct RootState {
     pub(super) obstacles: Arc<ObstacleFiles>,
     /// Why it cannot be scanned; `None` if it can.
     pub(super) unavailable: Option<String>,
-    /// Whether its worker does not respond.
-    pub(super) has_stalled: bool,
     pub(super) was_scanned: bool,
     /// Paths that the last scan could not examine, and why.
     pub(super) unreadable: BTreeMap<PathBuf, String>,
@@ -79,10 +76,8 @@ pub(crate) struct OutputFolder {
     /// The absolute path.
     pub(super) folder: PathBuf,
     pub(super) records: LatestRecords,
-    pub(super) is_mounted: bool,
+    /// Free bytes, if the file system reports them.
     pub(super) free_bytes: Option<u64>,
-    /// Whether its worker does not respond.
-    pub(super) has_stalled: bool,
 }
 
 /// Why a frame failed.
@@ -96,17 +91,14 @@ pub(crate) struct Failure {
     pub(super) is_refusal: bool,
 }
 
-/// A worker that has not responded for this long has stalled.
-pub(crate) const STALL_AFTER: Duration = Duration::from_secs(5);
-
 impl Core {
     /// The initial state. `roots` are the absolute paths of the watched folders, and `output_folders` those
-    /// of the outputs with the latest records there.
+    /// of the outputs with the latest records and the free bytes there.
     pub(crate) fn new(
         config: Arc<WatchConfig>,
         identity: DaemonRecord,
         roots: Vec<(PathBuf, Arc<ObstacleFiles>)>,
-        output_folders: Vec<(PathBuf, LatestRecords)>,
+        output_folders: Vec<(PathBuf, LatestRecords, Option<u64>)>,
         output_folder_of: Vec<usize>,
         now: Now,
     ) -> Core {
@@ -114,17 +106,10 @@ impl Core {
             path,
             obstacles,
             unavailable: None,
-            has_stalled: false,
             was_scanned: false,
             unreadable: BTreeMap::new(),
         };
-        let new_output = |(folder, records)| OutputFolder {
-            folder,
-            records,
-            is_mounted: true,
-            free_bytes: None,
-            has_stalled: false,
-        };
+        let new_output = |(folder, records, free_bytes)| OutputFolder { folder, records, free_bytes };
         Core {
             queue: Queue::new(config.order),
             guard: DiskGuard::new(config.disk_floor_bytes),
@@ -157,10 +142,6 @@ impl Core {
 
     /// Records that the daemon is running, logs the folders, and requests the first scans.
     pub(crate) fn start(&mut self) {
-        for output in 0..self.output_folders.len() {
-            // Check free space before frames are queued: no frame may start while it is below the floor.
-            self.effects.push(Effect::Output(output, OutputRequest::Check));
-        }
         self.record_daemon(DaemonState::Running);
         for root in 0..self.roots.len() {
             let (folder, outputs) =
@@ -246,11 +227,7 @@ impl Core {
         let found: Vec<FoundSpace<'_>> = self
             .output_folders
             .iter()
-            .map(|OutputFolder { folder, is_mounted, free_bytes, .. }| FoundSpace {
-                folder,
-                is_mounted: *is_mounted,
-                free_bytes: *free_bytes,
-            })
+            .map(|OutputFolder { folder, free_bytes, .. }| FoundSpace { folder, free_bytes: *free_bytes })
             .collect();
         self.guard.check(&found, self.now.at);
         match self.guard.reason() {

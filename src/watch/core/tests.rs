@@ -21,8 +21,8 @@ use crate::watch::test_records::done_record;
 use super::completeness::{FileHint, Proof, Seen};
 use super::events::{
     Complete, Effect, Event, FileContents, FrameFinished, FrameToConvert, Inspect, Inspected,
-    InspectionExtent, InspectionResult, Now, OutputFolderState, OutputRequest, Presence, RootRequest, Scan,
-    SlowRequest, Worker,
+    InspectionExtent, InspectionResult, Now, OutputFolderState, OutputRequest, RootRequest, Scan,
+    SlowRequest,
 };
 use super::frames::FrameId;
 use super::sequences::{MeasureOrder, SpacingResult};
@@ -102,7 +102,7 @@ impl Rig {
             }
             output_folder_of.extend(folders.iter().position(|known| known == folder));
         }
-        let outputs = folders.into_iter().map(|folder| (folder, latest.clone())).collect();
+        let outputs = folders.into_iter().map(|folder| (folder, latest.clone(), None)).collect();
         let mut core = Core::new(Arc::new(config), identity, roots, outputs, output_folder_of, now);
         core.claim_recorded(|root, path| path.starts_with(format!("/in{root}")));
         core.start();
@@ -240,7 +240,8 @@ impl Rig {
         {
             self.outputs.extend(record.output_paths(&self.core.output_folder(id(path).root).folder));
         }
-        let finished = FrameFinished { id: id(path), outcome, free_bytes: Some(0), named: None };
+        let free_bytes = self.core.output_folders[0].free_bytes;
+        let finished = FrameFinished { id: id(path), outcome, free_bytes, named: None };
         self.event(Event::FrameFinished(Box::new(finished)));
     }
 
@@ -269,8 +270,8 @@ impl Rig {
         self.finish(path, Outcome::Failed(error));
     }
 
-    fn set_output_folder(&mut self, output: usize, presence: Presence, free_bytes: u64) {
-        let found = OutputFolderState { output, presence, free_bytes: Some(free_bytes) };
+    fn set_free_bytes(&mut self, free_bytes: u64) {
+        let found = OutputFolderState { output: 0, was_removed: false, free_bytes: Some(free_bytes) };
         self.event(Event::OutputFolderChecked(found));
     }
 
@@ -467,60 +468,36 @@ fn failures_are_retried_with_growing_waits_up_to_a_limit() {
 #[test]
 fn low_disk_space_pauses_until_there_is_more() {
     let mut rig = Rig::new(1);
-    rig.set_output_folder(0, Presence::Present, GIB - 1);
+    rig.set_free_bytes(GIB - 1);
     rig.put("/in0/a.1.ply", 1);
     rig.want();
     assert!(rig.started().is_empty());
     assert!(rig.status().contains("paused: /out0 has"), "{}", rig.status());
-    rig.set_output_folder(0, Presence::Present, GIB);
+    rig.set_free_bytes(GIB);
     assert_eq!(rig.started(), ["a.1.ply"]);
 
     // After a full disk, the frame is tried again when space was freed, or after a while.
     rig.fail("/in0/a.1.ply", Stage::Write, io::ErrorKind::StorageFull);
     rig.want();
-    rig.set_output_folder(0, Presence::Present, GIB - 1);
+    rig.set_free_bytes(GIB - 1);
     rig.pass(4 * SECOND);
     assert!(rig.started().is_empty());
     assert_eq!(rig.states("/in0/a.1.ply").last(), Some(&Some(UnfinishedState::Queued)));
-    rig.set_output_folder(0, Presence::Present, 2 * GIB);
+    rig.set_free_bytes(2 * GIB);
     assert_eq!(rig.started(), ["a.1.ply"]);
 }
 
 #[test]
-fn frame_that_cannot_begin_is_queued_again() {
-    let mut rig = Rig::new(1);
-    rig.want();
-    rig.put("/in0/a.1.ply", 1);
-    let (id, frame) = rig.started.pop().expect("started");
-    let found = OutputFolderState { output: 0, presence: Presence::Missing, free_bytes: None };
-    rig.event(Event::FrameReturned { id, frame, found });
-    rig.want();
-    assert!(rig.started().is_empty());
-    assert!(rig.status().contains("/out0 is not mounted"), "{}", rig.status());
-    rig.set_output_folder(0, Presence::Present, 2 * GIB);
-    assert_eq!(rig.started(), ["a.1.ply"]);
-}
-
-#[test]
-fn unmounted_outputs_are_awaited_and_removed_outputs_are_made_again() {
+fn removed_outputs_are_made_again() {
     let mut rig = Rig::new(1);
     rig.want();
     rig.put("/in0/a.1.ply", 1);
     rig.convert("/in0/a.1.ply");
     rig.started();
-    let outputs = std::mem::take(&mut rig.outputs);
-    rig.set_output_folder(0, Presence::Missing, 0);
     rig.want();
-    rig.scan(0);
-    assert!(rig.started().is_empty(), "unmounted outputs are not missing");
-    assert_eq!(rig.core.summary(EndReason::Finish).done_count, 1);
-    rig.outputs = outputs;
-    rig.set_output_folder(0, Presence::Present, 2 * GIB);
-    rig.scan(0);
-    assert!(rig.started().is_empty());
-
     rig.outputs.clear();
-    rig.set_output_folder(0, Presence::Recreated, 2 * GIB);
+    let found = OutputFolderState { output: 0, was_removed: true, free_bytes: Some(2 * GIB) };
+    rig.event(Event::OutputFolderChecked(found));
     rig.scan(0);
     assert_eq!(rig.started(), ["a.1.ply"]);
 }
@@ -629,12 +606,7 @@ fn refused_frame_is_checked_at_each_scan() {
     rig.conflicts.insert(output, "its output would replace an obstacle".to_owned());
     rig.scan(0);
     assert_eq!(rig.states("/in0/a.1.ply"), [Some(UnfinishedState::Refused); 2]);
-    // While the outputs are not mounted, the other file only seems to be gone.
     rig.conflicts.clear();
-    rig.set_output_folder(0, Presence::Missing, 2 * GIB);
-    rig.scan(0);
-    assert_eq!(rig.status().split(';').next(), Some("0 done, 0 queued, 1 failed"));
-    rig.set_output_folder(0, Presence::Present, 2 * GIB);
     rig.scan(0);
     assert_eq!(rig.started(), ["a.1.ply"]);
     rig.convert("/in0/a.1.ply");
@@ -709,19 +681,6 @@ fn run_with_once_is_drained_only_when_all_frames_are_done() {
 }
 
 #[test]
-fn run_with_once_fails_if_a_folder_hangs() {
-    let mut rig = Rig::with(WatchConfig { once: true, ..config(2, &measured()) }, LatestRecords::default());
-    rig.want();
-    rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
-    rig.scan(0);
-    rig.event(Event::WorkerStalled(Worker::Root(1)));
-    rig.convert("/in0/a.1.ply");
-    assert!(rig.core.is_drained());
-    let failed = rig.core.summary(EndReason::Drained).failed;
-    assert!(failed.len() == 1 && failed[0].message.contains("/in1: its file system does not"), "{failed:?}");
-}
-
-#[test]
 fn stop_starts_no_further_frame() {
     let mut rig = Rig::new(1);
     rig.want();
@@ -734,15 +693,6 @@ fn stop_starts_no_further_frame() {
     assert!(rig.started().is_empty());
     let summary = rig.core.summary(EndReason::Finish);
     assert_eq!((summary.done_count, summary.left_count), (1, 1));
-}
-
-#[test]
-fn hanging_folder_is_reported() {
-    let mut rig = Rig::new(2);
-    rig.event(Event::WorkerStalled(Worker::Output(1)));
-    assert!(rig.status().ends_with("/out1 is unavailable") && rig.core.has_stalled(), "{}", rig.status());
-    rig.event(Event::WorkerAnswered(Worker::Output(1)));
-    assert_eq!((rig.status().as_str(), rig.core.has_stalled()), ("0 done, 0 queued", false));
 }
 
 /// The recorded reasons of a frame, in order.

@@ -106,8 +106,7 @@ impl OutputLock {
         Ok(OutputLock { file })
     }
 
-    /// Whether the locked file is still that of this folder: it may have been removed, or be hidden by a
-    /// mount.
+    /// Whether the locked file is still that of this folder: it may have been removed.
     pub fn is_in_place(&self, out_folder: &Path) -> bool {
         is_still_at(&lock_path(out_folder), &self.file)
     }

@@ -1,5 +1,4 @@
-//! The pipeline: threads that convert the frames that the core gives them. Nothing waits for these threads to
-//! end, because they may wait for a file system that does not respond.
+//! The pipeline: threads that convert the frames that the core gives them.
 
 use std::io;
 use std::path::PathBuf;
@@ -10,14 +9,14 @@ use crossbeam::channel::{Receiver, Sender, bounded};
 use rayon::ThreadPoolBuilder;
 
 use crate::pipeline::{
-    Frame, FrameError, IndexPolicy, Observer, OnError, Outcome, PipelineOptions, Stage, default_in_flight,
+    Frame, IndexPolicy, Observer, OnError, Outcome, PipelineOptions, Stage, default_in_flight,
     named_by_unreadable, stream,
 };
 use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, FrameFinished, FrameToConvert};
 use crate::watch::status_store::StatusStore;
 
-use super::mounts::free_bytes;
+use super::file_system::free_bytes;
 use super::output_folder::OutputGuard;
 
 /// What the pipeline needs.
@@ -25,8 +24,8 @@ use super::output_folder::OutputGuard;
 pub(crate) struct PipelineContext {
     pub(crate) config: Arc<WatchConfig>,
     pub(crate) store: Option<Arc<StatusStore>>,
-    /// For each root, the index and the guard of its folder of outputs.
-    pub(crate) outputs: Arc<Vec<(usize, Arc<OutputGuard>)>>,
+    /// For each root, the guard of its folder of outputs.
+    pub(crate) outputs: Arc<Vec<Arc<OutputGuard>>>,
     pub(crate) events: Sender<Event>,
 }
 
@@ -64,7 +63,7 @@ fn run(
     frames: &Receiver<FrameToConvert>,
     PipelineContext { config, store, outputs, events }: &PipelineContext,
 ) {
-    let mirrors: Vec<PathBuf> = outputs.iter().map(|(_, guard)| guard.folder.clone()).collect();
+    let mirrors: Vec<PathBuf> = outputs.iter().map(|guard| guard.folder.clone()).collect();
     let options = PipelineOptions {
         pool,
         on_error: OnError::Continue,
@@ -77,26 +76,13 @@ fn run(
         observer: store.as_ref().map(|store| &**store as &dyn Observer),
     };
     let next = || {
-        loop {
-            events.send(Event::FrameRequested).ok()?;
-            let FrameToConvert { id, mut frame } = frames.recv().ok()?;
-            let (output, guard) = &outputs[id.root];
-            // Checked at the last moment, so that nothing is written if the folder of outputs is not mounted
-            // and another folder is in its place.
-            if !guard.may_begin() {
-                let found = guard.check(*output);
-                events.send(Event::FrameReturned { id, frame, found }).ok()?;
-                continue;
-            }
-            frame.records = Some(Arc::clone(&guard.records));
-            return Some((id, *frame));
-        }
+        events.send(Event::FrameRequested).ok()?;
+        let FrameToConvert { id, mut frame } = frames.recv().ok()?;
+        frame.records = Some(Arc::clone(&outputs[id.root].records));
+        Some((id, *frame))
     };
     stream(next, &options, |id, _, outcome| {
-        let free_bytes = match &outcome {
-            Outcome::Failed(error) if error.is_disk_full() => free_bytes_at(error),
-            _ => None,
-        };
+        let free_bytes = free_bytes(&outputs[id.root].folder).ok();
         let named = match &outcome {
             Outcome::Failed(error) if error.during == Stage::Read => named_by_unreadable(&id.path),
             _ => None,
@@ -110,8 +96,4 @@ impl Observer for StatusStore {
     fn began(&self, frame: &Frame, stage: Stage) {
         self.stage_began(&frame.outputs.folder.join(&frame.stem), stage);
     }
-}
-
-fn free_bytes_at(error: &FrameError) -> Option<u64> {
-    free_bytes(error.path.parent()?).ok()
 }

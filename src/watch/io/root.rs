@@ -31,12 +31,12 @@ use crate::watch::core::events::{
 use crate::watch::core::frames::FrameId;
 use crate::watch::core::sequences::obstacle_stamp;
 
+use super::file_system::network_file_system;
 use super::fs_events::{FsEvent, WatchError, Watcher};
-use super::mounts::network_file_system;
 use super::output_folder::OutputGuard;
 use super::scan::{file_state, scan};
 use super::selection::FileFilter;
-use super::worker::{Heartbeat, Work};
+use super::worker::Work;
 #[cfg(target_os = "linux")]
 use super::writers::is_open_for_writing;
 
@@ -74,7 +74,6 @@ pub(super) struct Root {
     /// The identity of the folder at the last scan: its path may be a link that now leads elsewhere, or
     /// another disk may be mounted there.
     identity: Option<FileId>,
-    heartbeat: Heartbeat,
 }
 
 /// The default polling interval on network file systems.
@@ -116,7 +115,6 @@ impl Root {
         config: &WatchConfig,
         obstacles: Vec<Arc<ObstacleFiles>>,
         output: Arc<OutputGuard>,
-        heartbeat: Heartbeat,
     ) -> (Root, Option<Receiver<FsEvent>>) {
         let poll = match config.poll {
             Poll::Every(interval) => Some(interval),
@@ -144,7 +142,6 @@ impl Root {
             compared_at: Instant::now(),
             had_frames: false,
             identity: None,
-            heartbeat,
         };
         // A run with `once` needs no events.
         let mut fs_events = None;
@@ -281,7 +278,7 @@ impl Root {
     }
 
     fn scan_folder(&self, folder: &Path) -> io::Result<Scan> {
-        scan(folder, &self.path, &self.selection, self.trust_clock(), &|| self.heartbeat.beat())
+        scan(folder, &self.path, &self.selection, self.trust_clock())
     }
 
     /// Stops listening to a folder that is gone or was replaced.
@@ -449,9 +446,6 @@ impl Root {
         if is_as_recorded {
             return InspectionResult::AsRecorded;
         }
-        if changed_output.is_some() && !self.output.is_in_place() {
-            return InspectionResult::OutputsAway;
-        }
         if !self.watch.has_level_sets && is_level_set(file) {
             // It need not be complete to be left alone.
             let contents = FileContents::NotParticles;
@@ -473,13 +467,7 @@ impl Root {
         }
         let contents = contents_of(id, &self.watch);
         let conflict = match contents {
-            FileContents::Frame | FileContents::MaybeSteps => {
-                match self.conflict_of(outputs) {
-                    // The other file only seems to be gone: the pipeline does not check it again.
-                    None if !self.output.is_in_place() => return InspectionResult::OutputsAway,
-                    conflict => conflict,
-                }
-            }
+            FileContents::Frame | FileContents::MaybeSteps => self.conflict_of(outputs),
             FileContents::NotParticles | FileContents::Neighbor(_) | FileContents::Unreadable(_) => None,
         };
         InspectionResult::Complete(Complete { proof, changed_output, has_changed_files, contents, conflict })

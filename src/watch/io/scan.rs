@@ -37,7 +37,7 @@ pub(crate) fn file_state(path: &Path, trust_clock: bool) -> io::Result<Option<Se
 }
 
 /// Scans `folder`, which is `root` or lies in it, and its sub-folders if the selection is deep. The scan
-/// of a folder that the selection does not enter is empty. Calls `progress` for every file.
+/// of a folder that the selection does not enter is empty.
 ///
 /// # Errors
 /// When `folder` itself cannot be read. Other unreadable paths are reported in [`Scan::problems`].
@@ -46,10 +46,9 @@ pub(super) fn scan(
     root: &Path,
     selection: &FileFilter,
     trust_clock: bool,
-    progress: &dyn Fn(),
 ) -> io::Result<Scan> {
     let edges = ScanLimits::new(root, selection)?;
-    let mut walk = FolderScan { root, selection, trust_clock, progress, edges, scan: Scan::default() };
+    let mut walk = FolderScan { root, selection, trust_clock, edges, scan: Scan::default() };
     if folder != root && !selection.enters(root, folder) {
         return Ok(walk.scan);
     }
@@ -80,7 +79,6 @@ struct FolderScan<'a> {
     root: &'a Path,
     selection: &'a FileFilter,
     trust_clock: bool,
-    progress: &'a dyn Fn(),
     edges: ScanLimits,
     scan: Scan,
 }
@@ -102,7 +100,6 @@ impl FolderScan<'_> {
         self.scan.folders.push(folder.to_owned());
         for entry in entries {
             let entry = entry?;
-            (self.progress)();
             if is_hidden(&entry.file_name()) {
                 continue;
             }
@@ -221,7 +218,7 @@ mod tests {
 
     /// The paths that a scan finds, relative to its root and sorted; the scan must have no problems.
     fn found(root: &Path, selection: &FileFilter) -> Vec<String> {
-        let scan = scan(root, root, selection, true, &|| ()).expect("readable");
+        let scan = scan(root, root, selection, true).expect("readable");
         assert!(scan.problems.is_empty(), "{:?}", scan.problems);
         names(root, scan.files.iter().map(|file| &*file.0))
     }
@@ -266,7 +263,7 @@ mod tests {
             assert_eq!(names(root, selected.iter().map(|path| &**path)), expected, "{pattern:?}");
         }
         let flat = FileFilter::new(None, Vec::new()).expect("no pattern");
-        let scan = scan(root, root, &flat, true, &|| ()).expect("readable");
+        let scan = scan(root, root, &flat, true).expect("readable");
         assert_eq!(scan.folders, [root]);
     }
 
@@ -289,7 +286,7 @@ mod tests {
             assert_eq!(found(root, &selection(None, &[excluded])), expected, "{case}");
         }
         let selection = selection(None, &[root.join("out")]);
-        let part = scan(&root.join("out/deep"), root, &selection, true, &|| ()).expect("readable");
+        let part = scan(&root.join("out/deep"), root, &selection, true).expect("readable");
         assert!(part.folders.is_empty() && part.files.is_empty(), "scanned directly: {part:?}");
     }
 
@@ -311,12 +308,12 @@ mod tests {
         let selection = selection(None, &[]);
         assert_eq!(found(root, &selection), expected);
         // A scan of a sub-folder finds the same files there.
-        let part = scan(&root.join("a"), root, &selection, true, &|| ()).expect("readable");
+        let part = scan(&root.join("a"), root, &selection, true).expect("readable");
         assert_eq!(names(root, part.files.iter().map(|file| &*file.0)), ["a/1.ply", "a/side/2.ply"]);
         assert_eq!(names(root, part.folders.iter().map(|folder| &**folder)), ["a", "a/side"]);
-        let round = scan(&root.join("a/up"), root, &selection, true, &|| ()).expect("readable");
+        let round = scan(&root.join("a/up"), root, &selection, true).expect("readable");
         assert!(round.folders.is_empty(), "{round:?}");
-        let hidden = scan(&root.join(".git"), root, &selection, true, &|| ()).expect("not entered");
+        let hidden = scan(&root.join(".git"), root, &selection, true).expect("not entered");
         assert!(hidden.folders.is_empty(), "{hidden:?}");
     }
 
@@ -331,7 +328,7 @@ mod tests {
         }
         for pattern in [None, Some("**/*.ply"), Some("*/*.ply")] {
             let selection = selection(pattern, &[]);
-            let scan = scan(folder.path(), folder.path(), &selection, true, &|| ()).expect("readable");
+            let scan = scan(folder.path(), folder.path(), &selection, true).expect("readable");
             assert_eq!(scan.files[0].0, path);
             assert!(selection.takes(folder.path(), &path));
         }
@@ -350,7 +347,7 @@ mod tests {
         if fs::read_dir(&locked).is_err() {
             expected.insert(0, "locked");
         }
-        let scan = scan(root, root, &selection(None, &[]), true, &|| ()).expect("readable");
+        let scan = scan(root, root, &selection(None, &[]), true).expect("readable");
         fs::set_permissions(&locked, PermissionsExt::from_mode(0o700)).expect("unlocked");
         assert_eq!(names(root, scan.problems.iter().map(|problem| &*problem.0)), expected);
         assert!(scan.files.iter().any(|file| file.0 == root.join("a.ply")));
@@ -361,7 +358,7 @@ mod tests {
         let folder = folder_of(&["a.ply"]);
         let selection = selection(None, &[]);
         for path in [folder.path().join("gone"), folder.path().join("a.ply")] {
-            let error = scan(&path, &path, &selection, true, &|| ()).expect_err("no folder");
+            let error = scan(&path, &path, &selection, true).expect_err("no folder");
             assert!(is_gone(&error), "{error}");
         }
     }

@@ -8,38 +8,28 @@ use crossbeam::channel::Sender;
 
 use crate::pipeline::{DaemonRecord, DaemonState, ObstacleFiles, canonical_path, host_name, now_ms};
 use crate::watch::config::WatchConfig;
-use crate::watch::core::events::{Event, Now, OutputRequest, RootRequest, SlowRequest, Worker};
+use crate::watch::core::events::{Event, Now, OutputRequest, RootRequest, SlowRequest};
 use crate::watch::core::state::Core;
 use crate::watch::status_store::StatusStore;
 
 use super::error::DaemonError;
+use super::file_system::free_bytes;
 use super::output_folder::{OutputGuard, open_outputs};
 use super::pipeline::PipelineContext;
 use super::root::Root;
 use super::selection::FileFilter;
 use super::slow;
-use super::worker::{Heartbeat, StallMonitor, spawn};
+use super::worker::spawn;
 
-/// The threads that do I/O. They end when `Workers` is dropped. A thread that hangs ends as soon as its file
-/// system answers.
+/// The threads that do I/O. They end when `Workers` is dropped.
 pub(crate) struct Workers {
     pub(crate) roots: Vec<Sender<RootRequest>>,
     pub(crate) slow: Sender<SlowRequest>,
     pub(crate) outputs: Vec<Sender<OutputRequest>>,
-    pub(crate) monitors: Vec<StallMonitor>,
     /// The guards that the workers hold; all gone once the workers have ended.
     pub(crate) guards: Vec<Weak<OutputGuard>>,
     /// Stops the slow thread, also within a file.
     pub(crate) is_over: Arc<AtomicBool>,
-}
-
-impl Workers {
-    /// The heartbeat of a worker, which is monitored from now on.
-    fn monitor(&mut self, worker: Worker) -> Heartbeat {
-        let heartbeat = Heartbeat::default();
-        self.monitors.push(StallMonitor::new(worker, heartbeat.clone(), Instant::now()));
-        heartbeat
-    }
 }
 
 impl Drop for Workers {
@@ -70,7 +60,9 @@ pub(crate) fn start_workers(
         let filter = FileFilter::new(watch.pattern.as_deref(), output_folders.clone());
         inputs.push((path, filter.map_err(DaemonError::Pattern)?));
     }
-    let records = guards.iter().map(|guard| (guard.folder.clone(), guard.records.latest()));
+    let records = guards
+        .iter()
+        .map(|guard| (guard.folder.clone(), guard.records.latest(), free_bytes(&guard.folder).ok()));
     let roots =
         inputs.iter().zip(&obstacles).map(|((path, _), obstacles)| (path.clone(), Arc::clone(obstacles)));
     let mut core = Core::new(
@@ -85,8 +77,7 @@ pub(crate) fn start_workers(
         let (folder, filter) = &inputs[root];
         filter.takes(folder, file)
     });
-    let guards_of_roots =
-        output_folder_of.iter().map(|&output| (output, Arc::clone(&guards[output]))).collect();
+    let guards_of_roots = output_folder_of.iter().map(|&output| Arc::clone(&guards[output])).collect();
     let context = PipelineContext {
         config: Arc::clone(config),
         store,
@@ -100,22 +91,18 @@ pub(crate) fn start_workers(
         roots: Vec::new(),
         slow,
         outputs: Vec::new(),
-        monitors: Vec::new(),
         guards: guards.iter().map(Arc::downgrade).collect(),
         is_over,
     };
     for (index, output) in output_workers.into_iter().enumerate() {
-        let heartbeat = workers.monitor(Worker::Output(index));
-        let sender = spawn(&format!("output {index}"), output, None, heartbeat, events.clone());
+        let sender = spawn(&format!("output {index}"), output, None, events.clone());
         workers.outputs.push(sender.map_err(DaemonError::Threads)?);
     }
     for (index, (path, filter)) in inputs.into_iter().enumerate() {
-        let heartbeat = workers.monitor(Worker::Root(index));
         let guard = Arc::clone(&guards[output_folder_of[index]]);
         // Of all roots: an output must not replace an obstacle of another one.
-        let (obstacles, beats) = (obstacles.clone(), heartbeat.clone());
-        let (root, fs_events) = Root::new(index, path, filter, config, obstacles, guard, beats);
-        let sender = spawn(&format!("root {index}"), root, fs_events, heartbeat, events.clone());
+        let (root, fs_events) = Root::new(index, path, filter, config, obstacles.clone(), guard);
+        let sender = spawn(&format!("root {index}"), root, fs_events, events.clone());
         workers.roots.push(sender.map_err(DaemonError::Threads)?);
     }
     Ok((core, workers, context))

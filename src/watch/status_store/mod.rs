@@ -41,8 +41,6 @@ pub struct StatusStore {
     /// Distinguishes this run from earlier ones: the numbers of changes restart with each run.
     run: u64,
     version: AtomicU64,
-    /// When the daemon last sent a heartbeat, in milliseconds since 1970.
-    alive_ms: AtomicU64,
     state: Mutex<StoreState>,
 }
 
@@ -139,12 +137,7 @@ impl Default for StatusStore {
 impl StatusStore {
     /// An empty store.
     pub fn new() -> StatusStore {
-        StatusStore {
-            run: now_ms(),
-            version: AtomicU64::new(0),
-            alive_ms: AtomicU64::new(now_ms()),
-            state: Mutex::default(),
-        }
+        StatusStore { run: now_ms(), version: AtomicU64::new(0), state: Mutex::default() }
     }
 
     /// Distinguishes this run from earlier ones.
@@ -175,11 +168,6 @@ impl StatusStore {
     /// The first scans are complete.
     pub fn set_ready(&self) {
         self.lock().is_ready = true;
-    }
-
-    /// Records a heartbeat.
-    pub fn record_heartbeat(&self) {
-        self.alive_ms.store(now_ms(), Ordering::Relaxed);
     }
 
     /// Replaces the view of a frame. If the new view has no figures, but the same state and outputs as the
@@ -245,7 +233,6 @@ impl StatusStore {
 
     /// Sets the status of the daemon. Called about once a second; adds a sample for the chart.
     pub fn set_status(&self, status: LiveStatus) {
-        self.record_heartbeat();
         let mut state = self.lock();
         let StateCounts { waiting, queued, working, failed, .. } = state.counts;
         let sample = StatusSample {
@@ -337,11 +324,6 @@ impl StatusStore {
         self.lock().is_ready
     }
 
-    /// Whether the daemon has sent a heartbeat recently.
-    pub fn is_alive(&self) -> bool {
-        now_ms().saturating_sub(self.alive_ms.load(Ordering::Relaxed)) < STUCK_AFTER_MS
-    }
-
     /// The changes after `version`, or the first part of them: inspects at most `limit` changes.
     pub fn changes_since(&self, version: u64, limit: usize) -> StatusChanges {
         let state = self.lock();
@@ -411,9 +393,6 @@ impl StoreState {
         }
     }
 }
-
-/// A daemon without a heartbeat for this long is stuck.
-const STUCK_AFTER_MS: u64 = 30_000;
 
 #[cfg(test)]
 mod tests;

@@ -1,13 +1,10 @@
-//! The file system of a folder: whether it reports changes, how much space is free, and whether it is still
-//! the same one.
+//! The file system of a folder: whether it reports changes, and how much space is free.
 //!
 //! The kernel reports changes that are made through it. Changes that another machine, or the host of a
 //! virtual machine, makes on a shared file system bypass it, so such folders must be polled.
 
 use std::io;
 use std::path::Path;
-
-use crate::pipeline::device_and_inode;
 
 /// The name of the file system at `path`, if changes to it may go unreported: a network file system, one
 /// shared with the host of a virtual machine, or one provided by a program.
@@ -36,15 +33,6 @@ pub(crate) fn free_bytes(path: &Path) -> io::Result<u64> {
     // On Windows, the call below accepts a missing path.
     path.metadata()?;
     fs4::available_space(path)
-}
-
-/// The device of the file system at `path`, links followed: if a folder is empty and on another device than
-/// before, it was unmounted, not emptied.
-///
-/// # Errors
-/// When the path does not exist, or the system refuses.
-pub(crate) fn device(path: &Path) -> io::Result<u64> {
-    Ok(device_and_inode(path)?.0)
 }
 
 /// The magic numbers in `statfs` of file systems whose changes may go unreported, with their common names.
@@ -83,7 +71,6 @@ mod tests {
         let gone = folder.path().join("gone");
         let not_found = |error: io::Error| error.kind() == io::ErrorKind::NotFound;
         assert!(network_file_system(&gone).is_err_and(not_found));
-        assert!(device(&gone).is_err_and(not_found));
         assert!(free_bytes(&gone).is_err());
     }
 
@@ -96,17 +83,6 @@ mod tests {
         let magics: std::collections::HashSet<u32> =
             NETWORK_FILE_SYSTEMS.iter().map(|entry| entry.0).collect();
         assert_eq!(magics.len(), NETWORK_FILE_SYSTEMS.len(), "each once");
-    }
-
-    #[cfg(target_os = "linux")]
-    #[test]
-    fn mounted_file_system_is_another_device() {
-        let of = |path: &Path| device(path).expect("a folder");
-        let folder = tempfile::tempdir().expect("a folder");
-        let inner = folder.path().join("inner");
-        std::fs::create_dir(&inner).expect("made");
-        assert_eq!(of(&inner), of(folder.path()));
-        assert_ne!(of(Path::new("/proc")), of(folder.path()));
     }
 
     #[test]
