@@ -68,16 +68,16 @@ mod warning;
 
 pub(crate) use error::is_error_of_machine;
 pub use error::{Cause, Conflict, FrameError, ObstacleError, Stage};
-pub use files::atomic_write::{replace_own, stop_writing, write_atomically};
+pub use files::atomic_write::{stop_writing, write_atomically};
 pub use files::frame_number::{is_number, natural_order};
 pub use files::host::host_name;
-pub use files::identity::{FileId, are_same_file, canonical_path, entry_key, has_other_names};
+pub use files::identity::{FileId, are_same_file, canonical_path, entry_key};
 pub(crate) use files::identity::{is_still_at, real_path};
 pub use files::input_file::InputFile;
 pub use files::named_files::NamedFiles;
 pub(crate) use files::names::text_of_name;
 pub use files::number_pattern::{NumberPattern, files_in, is_absent, is_link_loop, may_be_file};
-pub use files::open::{open_itself, open_own, open_regular, read_regular, read_regular_text};
+pub use files::open::{open_itself, open_regular, read_regular, read_regular_text};
 pub use files::out_folder::{
     OutFolderError, check_out_folder, is_disk_full, make_out_folder, refuse_file_for_folder,
 };

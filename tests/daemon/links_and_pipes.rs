@@ -6,7 +6,7 @@ use std::os::unix::fs::symlink;
 
 use rustix::fs::{CWD, FileType, Mode, mknodat};
 
-use crate::daemon::scene::{Line, Scene, moving, names_in, ply};
+use crate::daemon::scene::{Scene, names_in};
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 const QUICK: [&str; 2] = ["--settle", "20ms"];
@@ -80,23 +80,6 @@ fn file_of_records_that_is_a_link_or_a_pipe_is_left_out() {
 }
 
 #[test]
-fn state_folder_that_is_a_link_is_refused() {
-    let scene = scene_with_state();
-    let [state, away] = ["out/.meniscus", "away"].map(|within| scene.path(within));
-    fs::rename(&state, &away).expect("renamed");
-    symlink(&away, &state).expect("a link");
-    let before = names_in(&away);
-    for arguments in [&ONCE[..], &STATUS] {
-        let result = scene.run(arguments);
-        assert_eq!(result.status, Some(2), "{}", result.err);
-        assert!(result.err.contains(".meniscus is a symbolic link"), "{}", result.err);
-    }
-    assert_eq!(names_in(&away), before);
-}
-
-/// A folder that the user names may be a link: other users cannot predict its name, and so cannot put a link
-/// there.
-#[test]
 fn output_folder_named_by_the_user_may_be_a_link() {
     let scene = Scene::new();
     scene.put_moving([1]);
@@ -128,25 +111,6 @@ fn file_of_records_that_becomes_a_link_or_a_pipe_is_left_alone_by_a_running_daem
         again.assert_status(0);
         assert_eq!(again.converted(), [""; 0], "all records are in a new file");
     }
-}
-
-#[test]
-fn output_subfolder_that_is_a_link_is_not_written_through() {
-    let scene = Scene::new();
-    fs::create_dir_all(scene.path("home/deep")).expect("made");
-    fs::create_dir(scene.path("out")).expect("made");
-    symlink(scene.path("home"), scene.path("out/shot")).expect("a link");
-    scene.write("in/shot/dam.1.ply", ply(&moving(1)));
-    scene.write("in/shot/deep/dam.1.ply", ply(&moving(1)));
-    scene.write("in/other/dam.1.ply", ply(&moving(1)));
-    let once = scene.once(&[&QUICK[..], &FORMATS, &["--pattern", "**"]].concat());
-    once.assert_status(1);
-    let failures = once.log.iter().filter(|line| line.level == "ERROR");
-    let is_report = |line: &&Line| line.message.contains("out/shot is a symbolic link");
-    assert_eq!(failures.filter(is_report).count(), 2, "{}", crate::daemon::scene::log_text(&once.log));
-    assert_eq!(names_in(&scene.path("home")), ["deep"]);
-    assert!(names_in(&scene.path("home/deep")).is_empty());
-    assert_eq!(names_in(&scene.path("out/other")), ["dam.1.obj", "dam.1.vdb"]);
 }
 
 /// Pipes at the paths of an output, a file of records, and an input.

@@ -152,7 +152,6 @@ pub(crate) fn pipeline_options(pool: &ThreadPool) -> PipelineOptions<'_> {
         in_flight: 5,
         memory_bytes: 1 << 30,
         index_policy: IndexPolicy::OnRead,
-        mirrors: &[],
         observer: None,
     }
 }
@@ -203,28 +202,6 @@ fn failed_frame_does_not_stop_others() {
         let Outcome::Failed(error) = &outcomes[2] else { panic!("not failed") };
         assert!(error.to_string().contains("f.2.0.ply: PLY, at"), "{error}");
     }
-}
-
-/// Rasterization may write scratch files into the output folder.
-#[cfg(unix)]
-#[test]
-fn linked_output_folder_is_refused_before_rasterization() {
-    let mut bench = Bench::new(&[3]);
-    let mirror = bench.folder.path().join("mirror");
-    fs::create_dir(&mirror).expect("made");
-    std::os::unix::fs::symlink(bench.out(), mirror.join("linked")).expect("a link");
-    bench.change_outputs(|outputs| outputs.folder = mirror.join("linked"));
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
-    let mirrors = [mirror.clone()];
-    let observer = broken(Some(Stage::Rasterize));
-    let options = PipelineOptions { mirrors: &mirrors, observer: Some(&observer), ..pipeline_options(&pool) };
-    let mut errors = Vec::new();
-    run(&bench.frames, &options, |_, outcome| match outcome {
-        Outcome::Failed(error) => errors.push(error.to_string()),
-        other => panic!("not failed: {other:?}"),
-    });
-    assert_eq!(errors.len(), 1);
-    assert!(errors[0].contains("linked is a symbolic link"), "{errors:?}");
 }
 
 #[test]

@@ -22,7 +22,6 @@ use std::time::Duration;
 
 use meniscus_formats::Result;
 
-use super::open::require_own_folder;
 use super::stamp::FileStamp;
 use super::sweep::remove_left_behind;
 use super::temporary::{Temporary, active_temporaries};
@@ -40,41 +39,24 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -
     Ok(())
 }
 
-/// Writes a file of this program that has a well-known name, like [`write_atomically`]. Refuses to write into
-/// a folder that a link has replaced. Returns the result of `write`.
-///
-/// # Errors
-/// The error of `write`, or of the system. Then nothing is left behind, and an existing file at `path` is
-/// unchanged.
-pub fn replace_own<T>(
-    path: &Path,
-    write: impl FnOnce(&mut BufWriter<&File>) -> io::Result<T>,
-) -> io::Result<T> {
-    require_own_folder(path)?;
-    let (temporary, written) = write_temporary(path, write)?;
-    require_own_folder(path)?;
-    rename_locked(temporary.path(), path)?;
-    Ok(written)
-}
-
-/// Writes a temporary file beside `path` and syncs it to disk. Returns the file and the result of `write`.
+/// Writes a temporary file beside `path` and syncs it to disk.
 ///
 /// # Errors
 /// The error of `write`, or of the system. Then nothing is left behind.
-fn write_temporary<T, E: From<io::Error>>(
+fn write_temporary(
     path: &Path,
-    write: impl FnOnce(&mut BufWriter<&File>) -> std::result::Result<T, E>,
-) -> std::result::Result<(Temporary, T), E> {
+    write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>,
+) -> Result<Temporary> {
     remove_left_behind();
     let temporary = Temporary::create(path)?;
     let mut out = BufWriter::with_capacity(BUFFER_BYTES, temporary.file());
-    let written = write(&mut out)?;
+    write(&mut out)?;
     out.flush()?;
     drop(out);
     // Without this, after a rename and a crash of the machine, the final name could lead to a file without
     // its bytes.
     temporary.file().sync_all()?;
-    Ok((temporary, written))
+    Ok(temporary)
 }
 
 /// A complete file on disk that does not have its final name yet. It is removed on drop unless it was renamed
@@ -94,7 +76,7 @@ impl StagedFile {
         path: &Path,
         write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>,
     ) -> Result<StagedFile> {
-        let (temporary, ()) = write_temporary(path, write)?;
+        let temporary = write_temporary(path, write)?;
         let stamp = FileStamp::of(&temporary.file().metadata()?);
         Ok(StagedFile { temporary, path: path.to_owned(), stamp })
     }

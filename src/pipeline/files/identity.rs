@@ -42,14 +42,6 @@ pub(crate) fn is_still_at(path: &Path, file: &File) -> bool {
     }
 }
 
-/// Whether an open file has other hard links: a write changes those, too.
-///
-/// # Errors
-/// When the system reports an error.
-pub fn has_other_names(file: &File) -> io::Result<bool> {
-    Ok(system::name_count(file)? > 1)
-}
-
 /// The device and the inode of the file or folder at a path; on Windows, the volume and the index. Links are
 /// followed.
 ///
@@ -124,10 +116,6 @@ mod system {
     fn numbers_of(metadata: &Metadata) -> (u64, u64) {
         (metadata.dev(), metadata.ino())
     }
-
-    pub(super) fn name_count(file: &File) -> io::Result<u64> {
-        Ok(file.metadata()?.nlink())
-    }
 }
 
 #[cfg(windows)]
@@ -153,10 +141,6 @@ mod system {
             0 => Err(io::ErrorKind::Unsupported.into()),
             index => Ok((information.volume_serial_number(), index)),
         }
-    }
-
-    pub(super) fn name_count(file: &File) -> io::Result<u64> {
-        Ok(information(file)?.number_of_links())
     }
 }
 

@@ -1,20 +1,16 @@
-//! Opens files: never blocks on a named pipe, and never opens this program's own files through a link.
+//! Opens files: never blocks on a named pipe.
 //!
 //! ```text
-//!   inputs, outputs, plans, settings    open_regular   links are followed; only a regular file is opened
-//!   temporary files, served outputs     open_itself    refuses a link as the last part of the path
-//!   lock, records                       open_own       also refuses a link as its folder
+//!   inputs, outputs, plans, settings                  open_regular   links are followed
+//!   temporary files, lock, records, served outputs    open_itself    refuses a link at the path
 //! ```
 //!
-//! Opening a named pipe waits until a process opens its other end, which may be never. Opening a file for
-//! writing through a link that another account has made overwrites a file of the account that this program
-//! runs as. So this program uses one of these functions to open any path that another process can change.
+//! Opening a named pipe waits until a process opens its other end, which may be never. So this program uses one of
+//! these functions to open any path that another process can change; they open only regular files.
 
 use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::{self, Read};
 use std::path::Path;
-
-use super::identity::is_still_at;
 
 /// Opens a regular file for reading. Follows links. Opens a pipe only if this process has it open already:
 /// shells write `<(zcat dam.ply.gz)` as `/dev/fd/63`.
@@ -88,59 +84,6 @@ pub fn open_itself(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     }?;
     require_regular(&file.metadata()?)?;
     Ok(file)
-}
-
-/// Opens a file that only this program writes, under a well-known name: neither the file nor its folder may
-/// be a link.
-///
-/// # Errors
-/// Those of [`open_itself`]; `InvalidInput` for a link, and if another process replaces the file meanwhile.
-pub fn open_own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
-    require_own_folder(path)?;
-    let file = open_itself(path, options)?;
-    // Detects a folder that was replaced by a link during the open, before content is written.
-    require_own_folder(path)?;
-    if !is_still_at(path, &file) {
-        return Err(io::Error::new(
-            io::ErrorKind::InvalidInput,
-            "another process replaced this file while it was opened: try again",
-        ));
-    }
-    Ok(file)
-}
-
-/// Requires that the folder of a file is a folder, and not a link to one.
-///
-/// # Errors
-/// When the system reports an error; `InvalidInput` for a link.
-pub(crate) fn require_own_folder(path: &Path) -> io::Result<()> {
-    let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) else { return Ok(()) };
-    if folder.symlink_metadata()?.is_symlink() {
-        let what = format!("{} is a symbolic link, which may lead anywhere: remove it", folder.display());
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
-    }
-    Ok(())
-}
-
-/// Requires that the last `depth` folders of this path are not links, if they exist.
-///
-/// # Errors
-/// When the system reports an error; `InvalidInput` for a link.
-pub(crate) fn require_no_links(folder: &Path, depth: usize) -> io::Result<()> {
-    for part in folder.ancestors().take(depth) {
-        match part.symlink_metadata() {
-            Ok(metadata) if metadata.is_symlink() => {
-                let what = format!(
-                    "{} is a symbolic link, and outputs are not written through it: replace it by a folder",
-                    part.display()
-                );
-                return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
-            }
-            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-            _ => {}
-        }
-    }
-    Ok(())
 }
 
 /// Requires a regular file.
@@ -257,40 +200,24 @@ mod tests {
             assert_eq!(words(at_once(move || open_regular(&path))), expected);
         }
         let pipe = path("pipe");
-        let own = at_once(move || open_own(&pipe, OpenOptions::new().read(true).write(true).create(true)));
+        let own = at_once(move || open_itself(&pipe, OpenOptions::new().read(true).write(true).create(true)));
         assert_eq!(words(own), "not a regular file: a pipe");
     }
 
     #[test]
-    fn own_file_that_is_a_link_is_refused_and_its_target_unchanged() {
+    fn link_is_refused_and_its_target_unchanged() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = |name: &str| folder.path().join(name);
         fs::write(path("precious"), "precious").expect("written");
         symlink(path("precious"), path("link")).expect("a link");
         assert_eq!(read_regular(&path("link")).expect("followed"), b"precious");
-        let open = |path: &Path| open_own(path, OpenOptions::new().write(true).create(true).truncate(true));
+        let open =
+            |path: &Path| open_itself(path, OpenOptions::new().write(true).create(true).truncate(true));
         assert_eq!(words(open(&path("link"))), "not a regular file: a symbolic link");
         // Opening a dangling link would create a file at its target.
         symlink(path("nowhere"), path("dangling")).expect("a link");
         assert!(open(&path("dangling")).is_err() && !path("nowhere").exists());
-        fs::create_dir(path("inner")).expect("made");
-        symlink(path("inner"), path("linked")).expect("a link");
-        assert!(words(open(&path("linked/journal"))).contains("linked is a symbolic link"));
-        assert!(!path("inner/journal").exists());
-        open(&path("inner/journal")).expect("no link");
+        open(&path("journal")).expect("no link");
         assert_eq!(fs::read(path("precious")).expect("there"), b"precious");
-    }
-
-    #[test]
-    fn links_below_the_out_folder_are_refused_and_above_are_not() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let path = |name: &str| folder.path().join(name);
-        fs::create_dir_all(path("real/a/b")).expect("made");
-        symlink(path("real"), path("out")).expect("a link");
-        symlink(path("real/a"), path("real/c")).expect("a link");
-        assert!(require_no_links(&path("out/a/b"), 2).is_ok());
-        assert!(require_no_links(&path("out/new/b"), 2).is_ok());
-        assert!(words(require_no_links(&path("out/c/b"), 2)).contains("c is a symbolic link"));
-        assert!(words(require_no_links(&path("out/c"), 1)).contains("c is a symbolic link"));
     }
 }

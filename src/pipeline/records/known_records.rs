@@ -13,7 +13,7 @@ use super::record_line::{
     DaemonRecord, DoneRecord, RecordLine, SequenceKey, SharedSettings, UnfinishedRecord,
 };
 use crate::pipeline::files::checked_line::record_of_line;
-use crate::pipeline::files::open::open_own;
+use crate::pipeline::files::open::open_itself;
 use crate::pipeline::files::out_folder::is_disk_full;
 
 /// A longer line is not a record.
@@ -138,7 +138,7 @@ impl KnownRecords {
 
     /// Takes the records in the complete lines of a file from an offset. Returns where the last one ends.
     fn read_lines(&mut self, path: &Path, from: u64) -> io::Result<u64> {
-        let mut file = open_own(path, OpenOptions::new().read(true))?;
+        let mut file = open_itself(path, OpenOptions::new().read(true))?;
         let size = file.metadata()?.len();
         // A file that is shorter than before was replaced: all of it is read.
         let from = if size < from { 0 } else { from };

@@ -10,9 +10,8 @@ use super::known_records::DONE_PER_FRAME_MAX;
 use super::record_line::{RecordLine, unfinished_key};
 use crate::pipeline::files::checked_line::{push_line, record_of_line};
 use crate::pipeline::files::host::host_name;
-use crate::pipeline::files::identity::has_other_names;
 use crate::pipeline::files::identity::is_still_at;
-use crate::pipeline::files::open::{open_itself, open_own, require_own_folder};
+use crate::pipeline::files::open::open_itself;
 use crate::pipeline::files::temporary::{create_locked, random_number, remove_if_exists};
 
 /// The start of the name of a file of records; 8 hexadecimal digits for the machine and 16 others follow.
@@ -51,8 +50,7 @@ impl OwnFile {
     pub(super) fn open(folder: &Path) -> io::Result<OwnFile> {
         match fs::create_dir(folder) {
             Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
-            // Checks the folder: the name stands for any file in it.
-            _ => require_own_folder(&folder.join(FILE_PREFIX))?,
+            _ => {}
         }
         for path in record_files(folder)? {
             // A file that cannot be continued belongs to another user, or was not written by this program.
@@ -72,7 +70,7 @@ impl OwnFile {
             let path = folder.join(format!("{}{:016x}", machine_prefix(), random_number()));
             let lock_path = path.with_extension(LOCK_EXTENSION);
             if let Some(lock) = create_locked(&lock_path)? {
-                let created = open_own(&path, OpenOptions::new().append(true).create_new(true));
+                let created = open_itself(&path, OpenOptions::new().append(true).create_new(true));
                 let file = created.inspect_err(|_| drop(remove_if_exists(&lock_path)))?;
                 return Ok(OwnFile::new(path, file, lock));
             }
@@ -159,9 +157,8 @@ impl OwnFile {
 
     /// Continues a file of an earlier process. Compacts it if most of its lines are superseded.
     fn adopt(path: PathBuf, lock: File) -> io::Result<OwnFile> {
-        let mut file = open_own(&path, OpenOptions::new().read(true).append(true))?;
-        // A user keeps a copy under the other name.
-        if file.metadata()?.len() > CONTINUED_BYTES_MAX || has_other_names(&file)? {
+        let mut file = open_itself(&path, OpenOptions::new().read(true).append(true))?;
+        if file.metadata()?.len() > CONTINUED_BYTES_MAX {
             return Err(io::ErrorKind::Unsupported.into());
         }
         let mut bytes = Vec::new();

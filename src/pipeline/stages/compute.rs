@@ -91,7 +91,6 @@ pub(super) fn rasterize_stage(
     };
     // A frame in tiles creates this folder and writes scratch files into it.
     let scratch = &frame.outputs.folder;
-    shared.refuse_links(scratch)?;
     let moving = match &input {
         FrameInput::InMemory(cloud) if frame.is_averaged() => {
             Some(MovingParticles::of(cloud.positions.clone(), &cloud.attributes))

@@ -36,7 +36,7 @@ mod spray;
 mod write;
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 use std::time::Instant;
@@ -96,9 +96,6 @@ pub struct PipelineOptions<'a> {
     /// Which thread indexes a file with several frames after the file has changed. If it is not the reading
     /// thread, reading never waits for the index.
     pub index_policy: IndexPolicy,
-    /// Output folders that mirror input folders: the pipeline does not write through links below them,
-    /// because other accounts may have created those.
-    pub mirrors: &'a [PathBuf],
     /// Receives the progress of frames.
     pub observer: Option<&'a dyn Observer>,
 }
@@ -115,7 +112,6 @@ impl<'a> PipelineOptions<'a> {
             in_flight: default_in_flight(pool.current_num_threads()),
             memory_bytes: default_memory_bytes(),
             index_policy: IndexPolicy::OnRead,
-            mirrors: &[],
             observer: None,
         }
     }

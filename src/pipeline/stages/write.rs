@@ -2,7 +2,6 @@
 
 use std::fs::File;
 use std::io::BufWriter;
-use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -11,7 +10,6 @@ use glam::DVec3;
 use meniscus_formats::ParticleFrame;
 
 use crate::pipeline::error::{FrameError, Stage};
-use crate::pipeline::files::open::require_no_links;
 use crate::pipeline::input::around;
 use crate::pipeline::input::frame::{Frame, FrameReport, Job, Outcome};
 use crate::pipeline::memory::peak_memory_bytes;
@@ -25,9 +23,7 @@ use crate::pipeline::warning::Warning;
 use crate::surface::reconstruction::FrameSurface;
 use crate::surface::space::Lattice;
 
-use super::{
-    FinishedFrame, Inlet, InputInfo, InputNotes, ObstacleSummary, Passed, StageContext, Stages, WorkItem,
-};
+use super::{FinishedFrame, Inlet, InputInfo, InputNotes, ObstacleSummary, Passed, Stages, WorkItem};
 
 impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
     /// Writes frames until there are no more. Once the caller no longer receives outcomes, discards frames.
@@ -57,7 +53,6 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let start = Instant::now();
         self.shared.begin(frame, Stage::Write);
         let written = FrameError::catch(&frame.input, Stage::Write, || {
-            self.shared.refuse_links(&frame.outputs.folder)?;
             let write = |kind: OutputKind, out: &mut BufWriter<&File>| {
                 // A conversion of particles has no spray.
                 let OutputKind::Frame(format) = kind else { return Ok(()) };
@@ -87,7 +82,6 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let surface = Arc::new(surface);
         // Everything runs within `catch`, so that a panic in the framing, too, fails only this frame.
         let written = FrameError::catch(&frame.input, Stage::Write, || {
-            self.shared.refuse_links(&frame.outputs.folder)?;
             let frame = &match frame.framing.as_ref().filter(|_| frame.has_pictures()) {
                 Some(framing) => frame.with_camera(framing.camera_for(bounds_of(&surface, frame))),
                 None => frame.clone(),
@@ -140,18 +134,6 @@ fn record_frame(frame: &Frame, report: FrameReport) -> Result<FrameReport, Frame
 
 fn converted(written: Result<FrameReport, FrameError>) -> Outcome {
     written.map_or_else(Outcome::Failed, |report| Outcome::Converted(Box::new(report)))
-}
-
-impl StageContext<'_> {
-    /// Refuses a folder inside a mirrored output folder if any part of its path below that output folder is a
-    /// link.
-    pub(super) fn refuse_links(&self, folder: &Path) -> Result<(), FrameError> {
-        let within = self.options.mirrors.iter().filter_map(|mirror| folder.strip_prefix(mirror).ok());
-        let depth = within.map(|within| within.components().count()).min().unwrap_or(0);
-        let refused = meniscus_formats::Error::from;
-        require_no_links(folder, depth)
-            .map_err(|error| FrameError::file(folder, Stage::Write, refused(error)))
-    }
 }
 
 /// The part of a frame's report that is the same for particles and surfaces.

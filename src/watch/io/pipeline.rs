@@ -1,7 +1,6 @@
 //! The pipeline: threads that convert the frames that the core gives them.
 
 use std::io;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread;
 
@@ -63,7 +62,6 @@ fn run(
     frames: &Receiver<FrameToConvert>,
     PipelineContext { config, store, outputs, events }: &PipelineContext,
 ) {
-    let mirrors: Vec<PathBuf> = outputs.iter().map(|guard| guard.folder.clone()).collect();
     let options = PipelineOptions {
         pool,
         on_error: OnError::Continue,
@@ -72,7 +70,6 @@ fn run(
         memory_bytes: config.memory_bytes,
         // A separate thread searches files for steps.
         index_policy: IndexPolicy::External,
-        mirrors: &mirrors,
         observer: store.as_ref().map(|store| &**store as &dyn Observer),
     };
     let next = || {

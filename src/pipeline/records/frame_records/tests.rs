@@ -424,15 +424,3 @@ fn removed_records_are_begun_again() {
     let later = FrameRecords::open(folder.path()).expect("opened");
     assert_eq!(state(&later, "b", "0.1", 7), ResultState::Done);
 }
-
-#[test]
-#[cfg(unix)]
-fn records_are_not_written_through_a_link() {
-    let folders = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
-    let [folder, elsewhere] = folders.each_ref().map(tempfile::TempDir::path);
-    std::os::unix::fs::symlink(elsewhere, folder.join(STATE_FOLDER)).expect("linked");
-    let records = FrameRecords::open(folder).expect("opened");
-    let refused = records.add_failure(Path::new("a"), Path::new("/a"), "why").expect_err("refused");
-    assert!(refused.to_string().contains(".meniscus is a symbolic link"), "{refused}");
-    assert_eq!(fs::read_dir(elsewhere).expect("there").count(), 0);
-}
