@@ -64,7 +64,7 @@ class OptionValues(TypedDict, total=False):
     drop_islands : int
         Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]
     spray : int
-        Leave pieces of fluid with fewer particles than this out of the surface, and write them as points beside it, 0 to 1000 [default: 0] Particles are linked if their r_init spheres touch. dam.0012.spray.ply has the points beside dam.0012.glb, with a radius, a class (0 for drops, 1 for clusters, 2 for filaments, 3 for bubbles), and the attributes of the particles.
+        Leave pieces of fluid with fewer particles than this out of the surface, and write them as points beside it, 0 to 1000 [default: 0] Particles are linked if their r_init spheres touch. dam.0012.spray.ply has the points beside dam.0012.glb, with a radius, a class (0 for drops, 1 for clusters, 2 for filaments), and the attributes of the particles.
     spray_keep : int
         Number of frames that a particle stays in the surface or in the spray before it changes, 1 to 5; particles are followed by their ids [default: 3]
     fill_cavities : float

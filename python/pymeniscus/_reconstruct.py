@@ -72,8 +72,7 @@ def reconstruct(
         particle. If `points` are `Particles`, names of their attributes, or ``"all"``. These names are computed,
         unless the particles have an attribute of that name: ``"speed"`` and ``"vorticity"`` of velocities, and
         ``"normal_curvature"`` of the mesh. In a mapping, they have None in place of an array. Without velocities,
-        a warning says that an attribute is not computed. ``"age"`` must be an array: other frames are not known
-        here.
+        a warning says that an attribute is not computed.
     obstacles : Obstacle, path-like, (vertices, triangles), or an iterable of these, optional
         Bodies that the surface does not enter.
     formats : iterable of str, optional
@@ -110,8 +109,7 @@ def reconstruct(
     ValueError
         For arrays of a wrong shape, and obstacles that are too far from the origin.
     OptionError
-        If an option is out of its range, the particle spacing cannot be measured, or ``"age"`` is asked for and
-        is no array. A subclass of `ValueError`.
+        If an option is out of its range, or the particle spacing cannot be measured. A subclass of `ValueError`.
     ParticleError
         If the spacing or the preset must be measured and there are no particles, no position is finite, an
         attribute that an option needs is missing, or the voxels are too small for the extent of the frame. A

@@ -451,22 +451,17 @@ def test_attributes_that_cannot_be_computed(block):
         with pytest.warns(UserWarning, match="^`vorticity` is not computed: the particles have no velocities$") as caught:
             made = pm.reconstruct(**source, attributes="vorticity", spacing=0.1)
         assert len(caught) == 1 and caught[0].filename == __file__ and not made.attributes
-    age = np.arange(1000, dtype=np.float32)
-    ids = pm.Particles(block, {"id": np.arange(1000)})
-    for source in ({"points": block, "attributes": "age"}, {"points": ids, "attributes": ["age"]},
-                   {"points": block, "attributes": {"a": age, "age": None}}):  # fmt: skip
-        with pytest.raises(pm.OptionError, match='`attributes="age"` needs the frames before a frame'):
-            pm.reconstruct(**source, spacing=0.1)
+    given = np.arange(1000, dtype=np.float32)
     # Attributes of the particles take precedence.
-    for name in ("age", "Speed", "vorticity", "normal_curvature"):
+    for name in ("Speed", "vorticity", "normal_curvature"):
         for source in (
-            {"points": block, "velocity": np.ones((1000, 3)), "attributes": {name: age}},
-            {"points": pm.Particles(block, {name: age, "v": np.ones((1000, 3))}), "attributes": name},
+            {"points": block, "velocity": np.ones((1000, 3)), "attributes": {name: given}},
+            {"points": pm.Particles(block, {name: given, "v": np.ones((1000, 3))}), "attributes": name},
         ):
             made = pm.reconstruct(**source, spacing=0.1)
             assert made.attributes[name].max() > 900 and not made.warnings
     with pytest.raises(TypeError, match="`heat` is not an array of numbers but NoneType"):
-        pm.reconstruct(block, attributes={"age": age, "heat": None}, spacing=0.1)
+        pm.reconstruct(block, attributes={"mass": given, "heat": None}, spacing=0.1)
     # "all" includes none of them, as in the command.
     assert list(pm.reconstruct(block, velocity=np.ones((1000, 3)), attributes="all", spacing=0.1).attributes) == ["velocity"]
 

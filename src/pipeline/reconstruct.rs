@@ -63,8 +63,7 @@ impl LoadedFrame {
     /// When the system reports an error, or the file has no readable particles.
     pub fn read(path: &Path, number: Option<i64>, settings: &Settings) -> Result<LoadedFrame, FrameError> {
         stage(path, Stage::Read, || {
-            // What its particles have is not known yet.
-            settings.require_single_frame(&[]).map_err(Cause::Settings)?;
+            settings.require_single_frame().map_err(Cause::Settings)?;
             let bytes = read_file(path).map_err(|error| error.cause)?;
             LoadedFrame::of_bytes(path, number, &bytes, settings).map_err(|error| error.cause)
         })

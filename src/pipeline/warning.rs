@@ -15,7 +15,6 @@ use meniscus_formats::OutputFormat;
 use crate::surface::level_set::RebuildReason;
 use crate::surface::mesh::MeshMeasures;
 use crate::surface::options::Preset;
-use crate::surface::particles::Role;
 use crate::surface::spacing::ROUNDING_REMEDY;
 use crate::surface::words::{pluralize, significant};
 
@@ -64,8 +63,8 @@ impl fmt::Display for ParticleSize {
 pub enum InputWarning {
     /// An attribute selected for the surface is missing.
     MissingAttribute { name: String, available: Vec<String> },
-    /// A selected attribute cannot be computed, because the particles lack one with this semantic.
-    NotComputed { name: &'static str, needs: Role },
+    /// A selected attribute cannot be computed, because the particles have no velocities.
+    NotComputed { name: &'static str },
     /// The particles are of several kinds, such as fluid and walls, according to an attribute with these
     /// values, and no condition chooses some of them.
     SeveralKinds { attribute: String, values: Vec<String> },
@@ -262,7 +261,7 @@ impl ReportedWarnings {
                 {
                     name.clone_from(attribute);
                 }
-                if let InputWarning::NotComputed { name: attribute, .. } = input {
+                if let InputWarning::NotComputed { name: attribute } = input {
                     name += attribute;
                 }
                 Variant::Input(discriminant(input))
@@ -305,9 +304,8 @@ impl fmt::Display for InputWarning {
                 let available = if available.is_empty() { "none".to_owned() } else { available.join(", ") };
                 write!(f, "the particles have no attribute `{name}` for the surface; available: {available}")
             }
-            InputWarning::NotComputed { name, needs } => {
-                let needs = if *needs == Role::Id { "ids that are whole numbers" } else { "velocities" };
-                write!(f, "`{name}` is not computed: the particles have no {needs}")
+            InputWarning::NotComputed { name } => {
+                write!(f, "`{name}` is not computed: the particles have no velocities")
             }
             InputWarning::SeveralKinds { attribute, values } => write!(
                 f,
@@ -358,8 +356,8 @@ impl fmt::Display for InputWarning {
                  do not count",
             ),
             InputWarning::SharedIds => f.write_str(
-                "rest coordinates and ages are those of this frame: the particles have no ids of their own, by which they \
-                 could be followed",
+                "rest coordinates are those of this frame: the particles have no ids of their own, by which they could be \
+                 followed",
             ),
             InputWarning::ReferenceMissing { number } => write!(
                 f,

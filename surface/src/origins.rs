@@ -1,4 +1,4 @@
-//! Where and when the particles of a sequence appeared, by their ids.
+//! Where the particles of a sequence appeared, by their ids.
 //!
 //! ```text
 //!   frame      3        4        5          the origin of ○ is its place in frame 3, that of ● in frame 4
@@ -50,15 +50,6 @@ impl Origins {
         ids.iter().zip(0..).flat_map(origin).collect()
     }
 
-    /// How much greater the number of this frame is than that of the frame in which each particle appeared.
-    pub fn ages(&self, ids: &[i64], number: i64) -> Vec<f32> {
-        let unique = unique_ids(ids);
-        let age = |id: &i64| {
-            self.before(*id, number, &unique).map_or(0, |origin| number.saturating_sub(origin.number))
-        };
-        ids.iter().map(|id| age(id) as f32).collect()
-    }
-
     /// The origin of a particle of this frame, if no other one of the frame has its id.
     fn before(&self, id: i64, number: i64, unique: &FxHashMap<i64, u32>) -> Option<Origin> {
         let origin = self.by_id.get(&id).copied();
@@ -88,13 +79,12 @@ mod tests {
         let expected = [12.0, 0.0, 22.0, 10.0].map(|x| [x, 0.0, 1.0]);
         let known = |origins: &Origins| origins.positions(&ids, &at(&[20.0, 21.0, 22.0, 23.0]), 6);
         assert_eq!(known(&origins), expected.as_flattened());
-        assert_eq!(origins.ages(&ids, 6), [1.0, 3.0, 0.0, 1.0]);
         // Later frames change nothing.
         origins.add(&[1, 2], &at(&[30.0, 31.0]), 7);
         assert_eq!(known(&origins), expected.as_flattened());
-        assert_eq!(origins.ages(&[7, 2], 3), [0.0, 0.0]);
         // Particles that share an id have no origin.
-        assert_eq!(origins.ages(&[7, 9, 9], 6), [3.0, 0.0, 0.0]);
-        assert_eq!(origins.ages(&[7], i64::MAX), [(i64::MAX - 3) as f32]);
+        let own = [[21.0, 0.0, 1.0], [22.0, 0.0, 1.0]];
+        let found = origins.positions(&[7, 9, 9], &at(&[20.0, 21.0, 22.0]), 6);
+        assert_eq!(found, [&[0.0, 0.0, 1.0][..], own.as_flattened()].concat());
     }
 }

@@ -350,9 +350,9 @@ impl<'a> Reconstructor<'a> {
         }
         check_lengths(&positions, &attributes)?;
         let settings = &self.settings_on(&positions, &attributes)?.clone();
-        settings.require_no_history(&attributes)?;
+        settings.require_no_history()?;
         if !is_averaged {
-            settings.require_single_frame(&attributes)?;
+            settings.require_single_frame()?;
         }
         check_required_attributes(settings, &attributes)?;
         let input_count = positions.len();

@@ -156,7 +156,7 @@ fn missing_obstacle_of_a_frame_concerns_only_this_frame() {
 /// Rest coordinates need all frames before a frame, and none after it: in whatever order frames come.
 #[test]
 fn frames_with_rest_coordinates_follow_those_before_them() {
-    let options = ["--format", "ply", "--spacing", "0.1", "--rest", "1", "--attributes", "age"];
+    let options = ["--format", "ply", "--spacing", "0.1", "--rest", "1"];
     let scene = Scene::new();
     put(&scene, 1);
     // None waits for a frame after it.

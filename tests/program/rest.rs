@@ -1,5 +1,4 @@
-//! Attributes that are computed: rest coordinates and ages, which depend on earlier frames, speeds, vorticities and
-//! curvatures.
+//! Attributes that are computed: rest coordinates, which depend on earlier frames, speeds, vorticities and curvatures.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -144,7 +143,7 @@ fn two_sets_begin_again_half_a_period_apart() {
 fn frames_depend_on_those_before_and_shards_equal_one_process() {
     let folder = scene();
     let folder = folder.path();
-    let options = ["--rest", "1", "--rest-period", "6", "--attributes", "age,id"];
+    let options = ["--rest", "1", "--rest-period", "6", "--attributes", "id"];
     convert(folder, "whole", &options);
     fs::create_dir(folder.join("shards")).expect("made");
     for shard in ["2/3", "3/3", "1/3"] {
@@ -157,9 +156,6 @@ fn frames_depend_on_those_before_and_shards_equal_one_process() {
     assert!(meshes("whole").len() == 8 && meshes("whole") == meshes("shards"));
     let verified = meniscus(folder, &["verify", "whole", "--input", "in"]);
     assert_eq!(verified.status, 0, "{}{}", verified.out, verified.err);
-    // Ages count from the first frame of a particle.
-    let ages = numbers(&vertices(&folder.join("whole"), 8), "age");
-    assert!(ages.iter().all(|age| (3.0..=7.0).contains(age)) && ages.contains(&7.0) && ages.contains(&3.0));
     // A change of frame 3 changes it and those after it, and no others.
     let path = folder.join("in/block.3.ply");
     let text = fs::read_to_string(&path).expect("text");
@@ -212,13 +208,9 @@ fn what_the_particles_lack_is_said() {
     let text: String =
         (0..512).map(|id| position(id, 1).map(|along| along.to_string()).join(",") + "\n").collect();
     fs::write(folder.join("in/a.7.csv"), format!("x,y,z\n{text}")).expect("written");
-    let result = convert(folder, "out", &["--attributes", "speed,age"]);
-    for what in [
-        "`speed` is not computed: the particles have no velocities",
-        "`age` is not computed: the particles have no ids",
-    ] {
-        assert!(result.err.contains(what), "{what}: {}", result.err);
-    }
+    let result = convert(folder, "out", &["--attributes", "speed"]);
+    let what = "`speed` is not computed: the particles have no velocities";
+    assert!(result.err.contains(what), "{}", result.err);
     let refused = meniscus(folder, &["convert", "in", "--out", "out", "--rest", "7"]);
     assert!(
         refused.status != 0 && refused.err.contains("no attribute `id`, which --rest needs"),

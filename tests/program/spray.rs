@@ -91,7 +91,7 @@ fn contacts_shorter_than_the_limit_change_nothing() {
     assert_eq!(of_frame(5)["particles"], 126);
     assert_eq!(
         of_frame(1)["spray"],
-        serde_json::json!({"particles": 2, "drops": 2, "clusters": 0, "filaments": 0, "bubbles": 0})
+        serde_json::json!({"particles": 2, "drops": 2, "clusters": 0, "filaments": 0})
     );
     assert_eq!(of_frame(1)["components"], 1);
     assert_eq!(of_frame(1)["certificate"]["holds"], true);
@@ -407,36 +407,6 @@ fn options_that_contradict_spray_are_refused_or_ignored() {
     ];
     let result = meniscus(folder, &[&up[..], &["--up", "z", "--spacing", "0.1"]].concat());
     assert!(result.status == 0 && !result.err.contains("ignored"), "{}", result.err);
-}
-
-#[test]
-fn filled_cavities_are_bubbles() {
-    let folder = tempdir().expect("a folder");
-    let folder = folder.path();
-    fs::create_dir(folder.join("in")).expect("made");
-    let mut text = "x,y,z,id\n".to_owned();
-    for index in 0..11 * 11 * 11 {
-        let steps = [index % 11, index / 11 % 11, index / 121];
-        if steps.iter().any(|step| (step - 5i32).abs() > 1) {
-            let [x, y, z] = steps.map(|step| SPACING * f64::from(step));
-            writeln!(text, "{x},{y},{z},{index}").expect("text");
-        }
-    }
-    fs::write(folder.join("in/a.1.csv"), text).expect("written");
-    convert(folder, "out", &["--format", "obj", "--report", "report.json"]);
-    let report: serde_json::Value =
-        serde_json::from_slice(&fs::read(folder.join("report.json")).expect("a report")).expect("JSON");
-    assert_eq!(report["frames"][0]["spray"]["bubbles"], 1);
-    assert_eq!(report["frames"][0]["spray"]["particles"], 0);
-    let points = read(&folder.join("out/a.1.spray.ply"));
-    let meniscus_formats::FilePositions::F64(positions) = &points.positions else { panic!("32 bits") };
-    let [position] = positions[..] else { panic!("{positions:?}") };
-    assert!(position.iter().all(|along| (along - 0.5).abs() < 0.005), "{position:?}");
-    let radius = points.attributes.iter().find(|attribute| attribute.name == "radius").expect("radii");
-    let Values::F32(radii) = &radius.values else { panic!("{radius:?}") };
-    // 27 particles are missing: a cube of three spacings, whose corners are rounded.
-    assert!(radii[0] > 0.09 && radii[0] < 0.19, "{radii:?}");
-    assert_eq!(ids(&folder.join("out/a.1.spray.ply")), [-1]);
 }
 
 #[test]

@@ -240,7 +240,8 @@ impl AttributeRequest {
         let is_kept = |attribute: &Attribute| {
             let is_needed = self.needed.iter().any(|needed| needed.is(attribute));
             let is_followed = self.follows && matches!(attribute.role, Role::Id | Role::Velocity);
-            let is_used = computed.iter().any(|computed| computed.need() == Some(attribute.role));
+            let is_used = attribute.role == Role::Velocity
+                && computed.iter().any(|computed| computed.needs_velocities());
             is_needed || is_all || self.keeps_all || is_followed || is_used || is_named(attribute)
         };
         let kept = (0..all.len()).filter(|index| is_kept(&all[*index]) || for_filter.contains(index));
@@ -251,17 +252,13 @@ impl AttributeRequest {
                 return Err(why);
             }
         }
-        let has = |role: Role| match role {
-            Role::Id => ids_of(&kept).is_some(),
-            _ => find_attribute(&kept, "velocity", 3).is_some(),
-        };
-        for (attribute, needs) in computed.iter().filter_map(|one| Some((one, one.need()?))) {
-            if !has(needs) {
-                warnings.push(Warning::Input(InputWarning::NotComputed { name: attribute.name(), needs }));
+        if find_attribute(&kept, "velocity", 3).is_none() {
+            for attribute in computed.iter().filter(|computed| computed.needs_velocities()) {
+                warnings.push(Warning::Input(InputWarning::NotComputed { name: attribute.name() }));
             }
         }
         if let Some(RequiredAttribute { option, .. }) = self.needed.iter().find(|needed| needed.is_id)
-            && !has(Role::Id)
+            && ids_of(&kept).is_none()
         {
             return Err(format!(
                 "the ids of the particles are not whole numbers, which {} needs",
@@ -424,15 +421,9 @@ mod tests {
         let (_, missing) = named(&["heat"]).select(two_particles()).expect("nothing is needed");
         let missing = missing[0].to_string();
         assert!(missing.contains("`heat`") && missing.contains("vel, rgb, pscale, Kind"), "{missing}");
-        // What is computed needs velocities or ids.
+        // What is computed needs velocities.
         assert_eq!(kept(&named(&["speed", "Vorticity"])), ["vel"]);
-        let (kept, missing) =
-            named(&["age", "normal_curvature"]).select(two_particles()).expect("nothing is needed");
-        assert!(kept.is_empty() && missing.len() == 1, "{missing:?}");
-        assert_eq!(
-            missing[0].to_string(),
-            "`age` is not computed: the particles have no ids that are whole numbers"
-        );
+        assert_eq!(kept(&named(&["normal_curvature"])), [""; 0]);
     }
 
     #[test]

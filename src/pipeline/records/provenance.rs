@@ -72,7 +72,6 @@ pub(crate) fn spray_provenance(
 ) -> Vec<(String, String)> {
     let mut pairs = made_from_around(frame, input_hash, around);
     pairs.push((CONTENTS, SPRAY.to_owned()));
-    // The bubbles depend on the level set.
     let is_of_mesh =
         |name: &str| MethodOptions::info(name).is_some_and(|info| info.group == OptionGroup::Mesh);
     pairs.extend(frame.settings.pairs(|name| !is_of_mesh(name)));

@@ -1,5 +1,4 @@
-//! Follows the particles of a frame back through the frames before it: to their rest coordinates (`--rest`), and to the
-//! frame in which they appeared (`--attributes age`).
+//! Follows the particles of a frame back through the frames before it, to their rest coordinates (`--rest`).
 //!
 //! ```text
 //!   frame 3   frame 4   frame 5 ──▶ origins since frame 3: from which frame 6 gets its rest coordinates
@@ -17,7 +16,6 @@ use crate::pipeline::input::around::{FoundFrame, not_averaged};
 use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame::Frame;
 use crate::pipeline::warning::{InputWarning, Warning};
-use crate::surface::attributes::ComputedAttribute;
 use crate::surface::options::{REST_NAMES, RestAt, Settings};
 use crate::surface::origins::Origins;
 use crate::surface::particles::{
@@ -56,8 +54,8 @@ struct HistoryFrame {
     hash: Option<u128>,
 }
 
-/// The histories of one frame: of two sets of rest coordinates, and of ages. These are kept in any case.
-const HISTORIES_MIN: usize = 3;
+/// The histories of one frame: of two sets of rest coordinates. These are kept in any case.
+const HISTORIES_MIN: usize = 2;
 
 impl KnownHistories {
     /// Keeps histories within this memory, in bytes.
@@ -93,8 +91,8 @@ pub(super) struct HistoryNotes {
 }
 
 impl StageContext<'_> {
-    /// Adds the attributes to the particles of a frame that need the frames before it, if the settings ask for them. The
-    /// hash is that of the frame's bytes.
+    /// Adds the rest coordinates to the particles of a frame, if the settings ask for them. The hash is that of the
+    /// frame's bytes.
     pub(super) fn follow_back(
         &self,
         cloud: &mut ParticleCloud,
@@ -103,10 +101,7 @@ impl StageContext<'_> {
     ) -> HistoryNotes {
         let mut notes = HistoryNotes::default();
         let settings = &*frame.settings;
-        let wants_age = ComputedAttribute::Age.is_wanted(settings.attributes.as_ref(), &cloud.attributes);
-        let Some(ids) = ids_of(&cloud.attributes).filter(|_| settings.rest.is_some() || wants_age) else {
-            return notes;
-        };
+        let Some((ids, rest)) = ids_of(&cloud.attributes).zip(settings.rest) else { return notes };
         // A frame without a number follows none.
         let number = frame.number.unwrap_or(i64::MIN);
         let mut given = FollowedFrame {
@@ -118,25 +113,16 @@ impl StageContext<'_> {
             around,
             notes: &mut notes,
         };
-        let mut found = Vec::new();
-        if let Some(rest) = settings.rest {
-            let RestAt { rest, second } = rest.at(number);
-            let place = |positions| vector(REST_NAMES[0], positions);
-            found.push(place(self.with_origins(rest, &mut given, Origins::positions)));
-            if let Some((second, weight)) = second {
-                let positions = self.with_origins(second, &mut given, Origins::positions);
-                found.push(vector(REST_NAMES[1], positions));
-                let weights = AttributeValues::Numbers(vec![weight; cloud.positions.len()]);
-                let name = REST_NAMES[2].to_owned();
-                found.push(Attribute { name, role: Role::Other, arity: 1, values: weights });
-            }
-        }
-        if wants_age {
-            let ages = |origins: &Origins, ids: &[i64], _: &OwnedPositions, number| origins.ages(ids, number);
-            found.push(ComputedAttribute::Age.with_values(self.with_origins(i64::MIN, &mut given, ages)));
+        let RestAt { rest, second } = rest.at(number);
+        let mut found = vec![vector(REST_NAMES[0], self.positions_since(rest, &mut given))];
+        if let Some((second, weight)) = second {
+            found.push(vector(REST_NAMES[1], self.positions_since(second, &mut given)));
+            let weights = AttributeValues::Numbers(vec![weight; cloud.positions.len()]);
+            let name = REST_NAMES[2].to_owned();
+            found.push(Attribute { name, role: Role::Other, arity: 1, values: weights });
         }
         // The option names them, so attributes of these names in the file do not count.
-        let is_replaced = |given: &Attribute| settings.rest.is_some() && REST_NAMES.contains(&&*given.name);
+        let is_replaced = |given: &Attribute| REST_NAMES.contains(&&*given.name);
         let share_ids = !ids.is_empty() && unique_ids(ids).is_empty();
         notes.warnings.extend(share_ids.then_some(Warning::Input(InputWarning::SharedIds)));
         cloud.attributes.retain(|given| !is_replaced(given));
@@ -145,13 +131,8 @@ impl StageContext<'_> {
         notes
     }
 
-    /// Calls `with` with the origins of the particles in the frames since `first`.
-    fn with_origins<T>(
-        &self,
-        first: i64,
-        given: &mut FollowedFrame<'_>,
-        with: impl FnOnce(&Origins, &[i64], &OwnedPositions, i64) -> T,
-    ) -> T {
+    /// Where the particles appeared in the frames since `first`: see [`Origins::positions`].
+    fn positions_since(&self, first: i64, given: &mut FollowedFrame<'_>) -> Vec<f32> {
         let settings = &given.frame.settings;
         let wanted: Vec<HistoryFrame> = given.frames_since(first);
         let mut histories = self.histories.lock();
@@ -177,7 +158,7 @@ impl StageContext<'_> {
         let used = &history.frames[..wanted.len()];
         given.notes.warnings.extend(used.iter().filter_map(|added| added.warning.clone()));
         let FollowedFrame { frame, number, hash, ids, positions, .. } = *given;
-        let result = with(&history.origins, ids, positions, number);
+        let result = history.origins.positions(ids, positions, number);
         if history.frames.len() == wanted.len() && frame.number.is_some() && first <= number {
             history.origins.add(ids, positions, number);
             let of = HistoryFrame { path: frame.input.clone(), number, hash: Some(hash) };

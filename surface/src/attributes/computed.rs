@@ -4,7 +4,6 @@
 //!   speed              |v|
 //!   vorticity          |∇ × v|, from the linear field that fits the velocities of the particles within R best
 //!   normal_curvature   of the mesh: see mesh/curvature.rs
-//!   age                of particles with ids: see [origins](crate::origins)
 //! ```
 //!
 //! An attribute of this name in the file takes precedence.
@@ -26,38 +25,27 @@ pub enum ComputedAttribute {
     Speed,
     /// The length of the curl of the velocity.
     Vorticity,
-    /// The number of frames since a particle appeared.
-    Age,
     /// The mean curvature of the surface.
     NormalCurvature,
 }
 
 impl ComputedAttribute {
     /// All of them.
-    pub const ALL: [ComputedAttribute; 4] = [
-        ComputedAttribute::Speed,
-        ComputedAttribute::Vorticity,
-        ComputedAttribute::Age,
-        ComputedAttribute::NormalCurvature,
-    ];
+    pub const ALL: [ComputedAttribute; 3] =
+        [ComputedAttribute::Speed, ComputedAttribute::Vorticity, ComputedAttribute::NormalCurvature];
 
     /// The name by which users ask for it, and in files.
     pub fn name(self) -> &'static str {
         match self {
             ComputedAttribute::Speed => "speed",
             ComputedAttribute::Vorticity => "vorticity",
-            ComputedAttribute::Age => "age",
             ComputedAttribute::NormalCurvature => "normal_curvature",
         }
     }
 
-    /// What the particles need for it.
-    pub fn need(self) -> Option<Role> {
-        match self {
-            ComputedAttribute::Speed | ComputedAttribute::Vorticity => Some(Role::Velocity),
-            ComputedAttribute::Age => Some(Role::Id),
-            ComputedAttribute::NormalCurvature => None,
-        }
+    /// Whether the particles need velocities for it.
+    pub fn needs_velocities(self) -> bool {
+        OF_VELOCITIES.contains(&self)
     }
 
     /// The attribute with these values, one for each particle or vertex.

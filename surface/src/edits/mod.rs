@@ -33,7 +33,7 @@ use std::sync::Arc;
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
-use rustc_hash::{FxHashMap, FxHashSet};
+use rustc_hash::FxHashSet;
 
 use crate::grid::{
     FACE_STEPS, Field, LEAF_EDGE, LEAF_VOXELS, Leaf, LeafMask, Topology, negative_masks, voxel_in_leaf,
@@ -162,34 +162,12 @@ fn corner(number: i32) -> IVec3 {
 // with its surroundings.
 
 /// Result of filling cavities.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FilledCavities {
-    /// The cavities.
-    pub cavities: Vec<Cavity>,
+    /// Number of cavities that were filled.
+    pub count: usize,
     /// Number of voxels that changed from outside to inside.
     pub voxel_count: u64,
-}
-
-/// A cavity that was filled.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Cavity {
-    /// Its volume, in voxels.
-    pub voxel_count: u64,
-    /// The sum of its voxels' indices: whole or half numbers, so that it is exact.
-    sum: DVec3,
-}
-
-impl Cavity {
-    /// The mean of its voxels, in voxels.
-    pub fn center(&self) -> DVec3 {
-        self.sum / self.voxel_count.max(1) as f64
-    }
-
-    /// Adds voxels, of whose indices this is the sum.
-    fn add(&mut self, count: u64, sum: DVec3) {
-        self.voxel_count += count;
-        self.sum += sum;
-    }
 }
 
 /// Fills the enclosed components of the outside with fewer than `volume_voxels` voxels.
@@ -209,26 +187,10 @@ pub fn fill_cavities(
         search.keep(kept);
     }
     let mut filled = FilledCavities::default();
-    // By component, the index of its cavity.
-    let mut cavity_of: FxHashMap<u32, usize> = FxHashMap::default();
     for component in 0..search.components.count as u32 {
-        if let Some(walk) = search.enclosed(component, volume_voxels) {
-            cavity_of.extend(walk.components.iter().map(|component| (*component, filled.cavities.len())));
-            filled.voxel_count += walk.volume;
-            let mut cavity = Cavity::default();
-            let middle = DVec3::splat(0.5 * f64::from(LEAF_EDGE - 1));
-            for leaf in walk.leaves {
-                cavity.add(LEAF_VOXELS as u64, (leaf.as_dvec3() + middle) * LEAF_VOXELS as f64);
-            }
-            filled.cavities.push(cavity);
-        }
-    }
-    for (leaf, &origin) in topology.origins().iter().enumerate().filter(|_| !cavity_of.is_empty()) {
-        for (component, mask) in search.components.of_leaf(leaf) {
-            if let Some(&cavity) = cavity_of.get(&component) {
-                let voxels = mask.iter().map(|offset| (origin + voxel_in_leaf(offset)).as_dvec3());
-                filled.cavities[cavity].add(u64::from(mask.count()), voxels.sum());
-            }
+        if let Some(volume) = search.enclosed(component, volume_voxels) {
+            filled.count += 1;
+            filled.voxel_count += volume;
         }
     }
     let is_filled: Vec<bool> = search.states.iter().map(|state| *state == ComponentState::Enclosed).collect();
@@ -295,9 +257,9 @@ impl<'a> CavitySearch<'a> {
         }
     }
 
-    /// The cavity that contains a component. `None` if it has at least `volume_max` voxels, is open, or was visited
-    /// already.
-    fn enclosed(&mut self, component: u32, volume_max: f64) -> Option<CavityWalk> {
+    /// The volume of the cavity that contains a component, in voxels. `None` if it is at least `volume_max`, or the cavity
+    /// is open, or was visited already.
+    fn enclosed(&mut self, component: u32, volume_max: f64) -> Option<u64> {
         if self.states[component as usize] != ComponentState::Unknown {
             return None;
         }
@@ -320,7 +282,7 @@ impl<'a> CavitySearch<'a> {
             self.open.extend(walk.leaves);
             return None;
         }
-        Some(walk)
+        Some(walk.volume)
     }
 
     /// Queues the missing leaves that a component touches.

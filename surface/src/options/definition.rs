@@ -176,7 +176,7 @@ method_options! {
         }
         Particles {
             /// Attributes to interpolate to the surface: a list of names, such as velocity,Cd,id, or the word
-            /// all; speed, vorticity, age and normal_curvature are computed
+            /// all; speed, vorticity and normal_curvature are computed
             ///
             /// Floating-point values are averaged over nearby particles; integers and strings are taken from
             /// the nearest particle. The results are vertex attributes in meshes, and additional grids in
@@ -230,7 +230,7 @@ method_options! {
             /// 0 to 1000 [default: 0]
             ///
             /// Particles are linked if their r_init spheres touch. dam.0012.spray.ply has the points beside dam.0012.glb,
-            /// with a radius, a class (0 for drops, 1 for clusters, 2 for filaments, 3 for bubbles), and the attributes of the particles.
+            /// with a radius, a class (0 for drops, 1 for clusters, 2 for filaments), and the attributes of the particles.
             #[value(named("N"))]
             spray: u32 in 0..=ISLAND_MAX,
 

@@ -24,7 +24,6 @@ pub use reach::{FrameReach, RestAt, RestFrames};
 pub use resolution::Pairs;
 pub use values::{AnisotropyKind, AttributeSelection, ClipBox, ColumnNames, Length, LengthUnit};
 
-use crate::attributes::ComputedAttribute;
 use crate::particles::{Attribute, LONE_RADIUS, ParticleFilter, find_attribute};
 use crate::smooth::{EIGENVALUE_MAX, SmoothSteps};
 use crate::spacing::median;
@@ -207,7 +206,7 @@ enum SettingsFault {
     QuadsOfTetrahedra,
     QuadsDecimated,
     SingleFrame,
-    EarlierFrames(OptionName),
+    EarlierFrames,
 }
 
 impl SettingsError {
@@ -224,9 +223,9 @@ impl SettingsError {
                 "{} averages the frames of a sequence, and this is a single frame: leave it out",
                 spelled(OptionName::new("temporal"))
             ),
-            SettingsFault::EarlierFrames(option) => format!(
+            SettingsFault::EarlierFrames => format!(
                 "{} needs the frames before a frame, which are not known here: leave it out, or convert a sequence of files",
-                spelled(*option)
+                spelled(OptionName::new("rest"))
             ),
             SettingsFault::Value(what) => what.clone(),
             SettingsFault::UnknownSpacing => {
@@ -423,30 +422,21 @@ impl Settings {
         })
     }
 
-    /// Refuses settings that need other frames, for a frame of particles with these attributes, as far as they are
-    /// known, that is reconstructed alone.
+    /// Refuses settings that need other frames, for a frame that is reconstructed alone.
     ///
     /// # Errors
     /// If the surface is to be averaged over time, or particles are to be followed back.
-    pub fn require_single_frame(&self, given: &[Attribute]) -> Result<(), SettingsError> {
-        self.require_no_history(given)?;
+    pub fn require_single_frame(&self) -> Result<(), SettingsError> {
+        self.require_no_history()?;
         if self.temporal > 0 { Err(SettingsFault::SingleFrame.into()) } else { Ok(()) }
     }
 
-    /// Refuses settings that need the frames before a frame of particles with these attributes, where those frames
-    /// are not known. Ages need none if the particles have them.
+    /// Refuses settings that need the frames before a frame, where those frames are not known.
     ///
     /// # Errors
     /// If particles are to be followed back.
-    pub fn require_no_history(&self, given: &[Attribute]) -> Result<(), SettingsError> {
-        let option = if self.rest.is_some() {
-            OptionName::new("rest")
-        } else if ComputedAttribute::Age.is_wanted(self.attributes.as_ref(), given) {
-            OptionName::with_value("attributes", "age")
-        } else {
-            return Ok(());
-        };
-        Err(SettingsFault::EarlierFrames(option).into())
+    pub fn require_no_history(&self) -> Result<(), SettingsError> {
+        if self.rest.is_some() { Err(SettingsFault::EarlierFrames.into()) } else { Ok(()) }
     }
 
     /// Checks what depends on several options.

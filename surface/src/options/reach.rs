@@ -6,8 +6,7 @@
 //!                └history┘ └beside
 //! ```
 
-use super::{AttributeSelection, MethodOptions, SPRAY_KEEP, Settings};
-use crate::attributes::ComputedAttribute;
+use super::{MethodOptions, SPRAY_KEEP, Settings};
 use crate::spray::frames_needed;
 
 /// The frames of a sequence that a frame depends on.
@@ -17,15 +16,12 @@ pub struct FrameReach {
     pub beside: u32,
     /// Those since its reference frames.
     pub rest: Option<RestFrames>,
-    /// Whether all before it, too.
-    pub whole_history: bool,
 }
 
 impl FrameReach {
     /// The number of the first frame of the history of a frame, if it has one. The history ends before the frame.
     pub fn first(&self, number: i64) -> Option<i64> {
-        let of_rest = self.rest.map(|rest| rest.at(number).first());
-        if self.whole_history { Some(i64::MIN) } else { of_rest.filter(|first| *first < number) }
+        self.rest.map(|rest| rest.at(number).first()).filter(|first| *first < number)
     }
 
     /// Whether frames depend on no others.
@@ -35,7 +31,7 @@ impl FrameReach {
 
     /// Whether frames depend on more than those beside them.
     pub fn has_history(&self) -> bool {
-        self.rest.is_some() || self.whole_history
+        self.rest.is_some()
     }
 }
 
@@ -88,11 +84,7 @@ impl MethodOptions {
     pub fn frame_reach(&self) -> FrameReach {
         let of_spray =
             if self.has_spray() { frames_needed(self.spray_keep.unwrap_or(SPRAY_KEEP)) } else { 0 };
-        FrameReach {
-            beside: self.temporal.unwrap_or(0).saturating_add(of_spray),
-            rest: self.rest_frames(),
-            whole_history: names_age(self.attributes.as_ref()),
-        }
+        FrameReach { beside: self.temporal.unwrap_or(0).saturating_add(of_spray), rest: self.rest_frames() }
     }
 
     /// The frames whose positions are rest coordinates.
@@ -105,17 +97,8 @@ impl Settings {
     /// The frames on which a frame depends.
     #[doc(hidden)]
     pub fn frame_reach(&self) -> FrameReach {
-        FrameReach {
-            beside: self.temporal + self.spray_reach(),
-            rest: self.rest,
-            whole_history: names_age(self.attributes.as_ref()),
-        }
+        FrameReach { beside: self.temporal + self.spray_reach(), rest: self.rest }
     }
-}
-
-/// Whether the selection names the ages of particles. Whether files have such an attribute themselves is not known here.
-fn names_age(selection: Option<&AttributeSelection>) -> bool {
-    ComputedAttribute::Age.is_wanted(selection, &[])
 }
 
 #[cfg(test)]
@@ -157,8 +140,6 @@ mod tests {
             [2, 3, 4, 8, 12, 14].map(|number| reach.first(number)),
             [None, None, Some(3), Some(3), Some(3), Some(8)]
         );
-        let ages = options(&[("attributes", "v,age")]).frame_reach();
-        assert_eq!((ages.first(5), ages.beside), (Some(i64::MIN), 0));
         assert!(options(&[("attributes", "all")]).frame_reach().is_none());
     }
 }

@@ -83,7 +83,7 @@ impl BoundedBand {
         let validate = |_: &Mesh, _: f32| Ok::<Checks, Infallible>(Checks::EMPTY);
         let Ok(()) = postprocess::finalize(&mut mesh, settings, None, rounding, &mut report, validate);
         let attributes = SurfaceAttributes::default();
-        FrameSurface { band, mesh, attributes, spray: None, bubbles: Vec::new(), report }
+        FrameSurface { band, mesh, attributes, spray: None, report }
     }
 }
 

@@ -41,7 +41,7 @@ use crate::rasterize::{Radii, RasterParams};
 use crate::report::{Phase, ReconstructionReport, ShapeStats, TransferReport};
 use crate::smooth;
 use crate::space::Lattice;
-use crate::spray::{Bubble, Spray};
+use crate::spray::Spray;
 
 /// The surface of one frame.
 #[derive(Clone, Debug)]
@@ -54,16 +54,13 @@ pub struct FrameSurface {
     pub attributes: SurfaceAttributes,
     /// The particles that are not in the mesh; `None` if the settings do not ask for it, or the caller has them.
     pub spray: Option<Spray>,
-    /// The cavities that were filled.
-    pub bubbles: Vec<Bubble>,
     /// Measurements and validation results.
     pub report: ReconstructionReport,
 }
 
 impl FrameSurface {
-    /// Adds the particles that are not in the mesh, and to them the cavities that were filled.
-    pub fn with_spray(mut self, mut spray: Option<Spray>) -> FrameSurface {
-        spray.iter_mut().for_each(|spray| spray.add_bubbles(&self.bubbles));
+    /// Adds the particles that are not in the mesh.
+    pub fn with_spray(mut self, spray: Option<Spray>) -> FrameSurface {
         self.report.spray = spray.as_ref().map(Spray::counts);
         self.spray = spray;
         self

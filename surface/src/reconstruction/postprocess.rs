@@ -28,7 +28,6 @@ use crate::options::Settings;
 use crate::rasterize::Radii;
 use crate::report::{DepthStats, EditReport, ReconstructionReport};
 use crate::space::Lattice;
-use crate::spray::{Bubble, cube_root, radius_of_volume};
 use crate::validation::{Certificate, Checks, ExclusionMask, certificate};
 
 /// What edits removed from the level set.
@@ -36,8 +35,6 @@ use crate::validation::{Certificate, Checks, ExclusionMask, certificate};
 pub(super) struct Edits {
     islands: Option<DroppedIslands>,
     clip: Option<edits::VoxelClip>,
-    /// The cavities that were filled.
-    pub(super) bubbles: Vec<Bubble>,
 }
 
 /// Moves the surface by the offset, and cuts it off at the obstacles, if there are any.
@@ -77,20 +74,12 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
         let kept: Option<&dyn Fn(IVec3) -> LeafMask> =
             if scene.obstacles.is_empty() { None } else { Some(&kept) };
         let filled = edits::fill_cavities(band, settings.fill_cavities, kept);
-        report.cavity_count = filled.cavities.len();
+        report.cavity_count = filled.count;
         report.cavity_voxel_count = filled.voxel_count;
-        let bubble = |cavity: &edits::Cavity| Bubble {
-            position: scene.lattice.voxel_size * cavity.center(),
-            radius: radius_of_volume(scene.lattice.voxel_size * cube_root(cavity.voxel_count as f64)),
-        };
-        edits.bubbles = filled.cavities.iter().map(bubble).collect();
     }
     if let Some(clip) = &settings.clip {
         let clip = edits::VoxelClip { min: DVec3::from(clip.min), max: DVec3::from(clip.max) };
         report.clipped_voxel_count = edits::clip(band, &scene.lattice, &clip).voxel_count;
-        let is_inside =
-            |bubble: &Bubble| (clip.min.cmple(bubble.position) & bubble.position.cmple(clip.max)).all();
-        edits.bubbles.retain(is_inside);
         edits.clip = Some(clip);
     }
     edits

@@ -517,8 +517,7 @@ fn contour_within<P: NearParticles>(
     };
     postprocess::finalize(&mut mesh, settings, Some(&scene.radii), rounding, &mut report, validate)?;
     report.certificate.input_positions_outside = particles.inputs_outside(&band, scene, exempt)?;
-    let (attributes, bubbles) = (SurfaceAttributes::default(), edits.bubbles);
-    Ok(FrameSurface { band, mesh, attributes, spray: None, bubbles, report })
+    Ok(FrameSurface { band, mesh, attributes: SurfaceAttributes::default(), spray: None, report })
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ pub use pieces::{Links, Piece, small_pieces};
 
 use glam::DVec3;
 
-use crate::particles::{Attribute, AttributeValues, OwnedPositions, find_attribute, rows, rows_of};
+use crate::particles::{Attribute, OwnedPositions, find_attribute, rows, rows_of};
 
 /// The shape of a piece of spray.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -33,14 +33,11 @@ pub enum SprayClass {
     Cluster,
     /// Several particles in a row.
     Filament,
-    /// No particles: a cavity inside the surface that was filled.
-    Bubble,
 }
 
 impl SprayClass {
     /// All classes, in the order of their indices in files.
-    pub const ALL: [SprayClass; 4] =
-        [SprayClass::Drop, SprayClass::Cluster, SprayClass::Filament, SprayClass::Bubble];
+    pub const ALL: [SprayClass; 3] = [SprayClass::Drop, SprayClass::Cluster, SprayClass::Filament];
 
     /// The name in files.
     pub fn name(self) -> &'static str {
@@ -48,12 +45,11 @@ impl SprayClass {
             SprayClass::Drop => "drop",
             SprayClass::Cluster => "cluster",
             SprayClass::Filament => "filament",
-            SprayClass::Bubble => "bubble",
         }
     }
 }
 
-/// The particles of a frame that are spray, in the order of the frame, and after them the bubbles.
+/// The particles of a frame that are spray, in the order of the frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spray {
     /// Their positions.
@@ -71,15 +67,6 @@ pub struct Spray {
     pub attributes: Vec<Attribute>,
 }
 
-/// A cavity as a ball of its volume.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Bubble {
-    /// The center of its volume, world units.
-    pub position: DVec3,
-    /// Its radius, world units.
-    pub radius: f64,
-}
-
 /// How much spray a frame has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct SprayCounts {
@@ -91,8 +78,6 @@ pub struct SprayCounts {
     pub clusters: usize,
     /// Number of filaments.
     pub filaments: usize,
-    /// Number of bubbles.
-    pub bubbles: usize,
 }
 
 impl Spray {
@@ -121,44 +106,18 @@ impl Spray {
         self.ages = self.ages.take().map(|ages| rows(&ages, 1, mask));
     }
 
-    /// Adds bubbles. They have no particles: their numbers are 0, their integers −1, and their strings missing.
-    pub(crate) fn add_bubbles(&mut self, bubbles: &[Bubble]) {
-        match &mut self.positions {
-            OwnedPositions::F32(positions) => {
-                positions.extend(bubbles.iter().map(|bubble| bubble.position.as_vec3().to_array()));
-            }
-            OwnedPositions::F64(positions) => {
-                positions.extend(bubbles.iter().map(|bubble| bubble.position.to_array()));
-            }
-        }
-        let count = self.positions.len();
-        self.radii.extend(bubbles.iter().map(|bubble| bubble.radius as f32));
-        self.classes.resize(count, SprayClass::Bubble);
-        self.piece_sizes.resize(count, 0);
-        self.ages.iter_mut().for_each(|ages| ages.resize(count, 0));
-        for Attribute { arity, values, .. } in &mut self.attributes {
-            let count = count * *arity;
-            match values {
-                AttributeValues::Numbers(values) => values.resize(count, 0.0),
-                AttributeValues::Integers(values) => values.resize(count, -1),
-                AttributeValues::Strings { indices, .. } => indices.resize(count, -1),
-            }
-        }
-    }
-
     /// The number of particles and of pieces.
     pub fn counts(&self) -> SprayCounts {
         let of = |class: SprayClass| {
             let sizes = self.classes.iter().zip(&self.piece_sizes).filter(|(other, _)| **other == class);
             // Each particle of a piece counts as its part of it.
-            sizes.map(|(_, size)| 1.0 / f64::from((*size).max(1))).sum::<f64>().round() as usize
+            sizes.map(|(_, size)| 1.0 / f64::from(*size)).sum::<f64>().round() as usize
         };
         SprayCounts {
-            particles: self.positions.len() - of(SprayClass::Bubble),
+            particles: self.positions.len(),
             drops: of(SprayClass::Drop),
             clusters: of(SprayClass::Cluster),
             filaments: of(SprayClass::Filament),
-            bubbles: of(SprayClass::Bubble),
         }
     }
 }
@@ -240,17 +199,6 @@ pub fn radius_of_volume(edge: f64) -> f64 {
 
 /// The cube root of 3/4π.
 const RADIUS_OF_CUBE: f64 = 0.620_350_490_899_400_1;
-
-/// The cube root of a number from 1 on. Those of standard libraries differ between systems in the last bit.
-pub(crate) fn cube_root(value: f64) -> f64 {
-    // The exponent is divided by three.
-    let mut root = f64::from_bits(value.to_bits() / 3 + (0x2a9f_7893 << 32));
-    for _ in 0..4 {
-        let cube = root * root * root;
-        root *= (cube + 2.0 * value) / (2.0 * cube + value);
-    }
-    root
-}
 
 #[cfg(test)]
 mod tests;
