@@ -14,6 +14,7 @@ use crate::compression::{Codec, name_without_compression};
 use crate::csv;
 use crate::gltf;
 use crate::hdf5;
+use crate::houdini::TEXT_REFUSAL;
 use crate::json;
 use crate::neighbor::Neighbor;
 use crate::obj_points;
@@ -266,7 +267,7 @@ fn json_kind(text: &[u8], name: &str) -> ProbedKind {
     }
     let is_named_geo = || name.ends_with(".geo") || name.ends_with(".bgeo");
     if contains(text, b"\"fileversion\"") || contains(text, b"\"pointcount\"") || is_named_geo() {
-        return ProbedKind::Format(Format::HoudiniJsonText);
+        return ProbedKind::Foreign(HOUDINI_TEXT);
     }
     let gltf_keys: [&[u8]; 4] = [b"\"asset\"", b"\"accessors\"", b"\"bufferViews\"", b"\"meshes\""];
     if name.ends_with(".gltf") || gltf_keys.iter().any(|key| contains(text, key)) {
@@ -445,6 +446,7 @@ const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
     (b"CDF\x01", "netCDF"),
     (b"CDF\x02", "netCDF"),
     (b"NanoVDB", "NanoVDB"),
+    (b"PGEOMETRY", HOUDINI_TEXT),
     (b"\xc0PRT2\r\n\x1a", PRT2),
     (b"\xda\xba\xfa\0", REALFLOW),
     (b"\x9e\x02\0\0\x01\0\0\0\0\0\x80\x3f", MAYA),
@@ -498,6 +500,7 @@ pub(crate) const REMEDIES: &[(&str, &str)] = &[
         LAMMPS_DATA,
         "this is a `write_data` file, and only dumps are supported: write one with `write_dump all custom FILE id type x y z`",
     ),
+    (HOUDINI_TEXT, TEXT_REFUSAL),
     (ZIP, ARCHIVE),
     (TAR, ARCHIVE),
     (SEVEN_ZIP, ARCHIVE),
@@ -559,6 +562,7 @@ const PARTIO: &str =
 
 /// The output of LAMMPS's `write_data` command.
 const LAMMPS_DATA: &str = "LAMMPS data";
+const HOUDINI_TEXT: &str = "Houdini geometry as text";
 const ZIP: &str = "ZIP archive";
 const XZ: &str = "xz";
 const BZIP2: &str = "bzip2";
@@ -610,7 +614,8 @@ mod tests {
             (b"ply\r\n", "a", ProbedKind::Format(Format::Ply)),
             (b"plywood,x,y\n1,2,3\n", "a", ProbedKind::Format(Format::Delimited)),
             (b"BgeoV\0\0\0\x05", "a.ply", ProbedKind::Format(Format::ClassicBgeo)),
-            (b"[\n\t\"fileversion\",\"19.5.303\",", "a.geo", ProbedKind::Format(Format::HoudiniJsonText)),
+            (b"[\n\t\"fileversion\",\"19.5.303\",", "a.geo", ProbedKind::Foreign(HOUDINI_TEXT)),
+            (b"PGEOMETRY V5\nNPoints 1", "a.geo", ProbedKind::Foreign(HOUDINI_TEXT)),
             (b"# vtk DataFile Version 5.1\nx\nASCII\n", "a.csv", ProbedKind::Format(Format::VtkLegacy)),
             (
                 b"<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\">",

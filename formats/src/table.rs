@@ -104,13 +104,9 @@ formats! {
     }
     read_only {
         /// Houdini's binary geometry format before version 12, which many simulators still write.
-        ClassicBgeo => crate::bgeo::BINARY,
-        /// The text variant of classic Houdini geometry.
-        ClassicGeo => crate::bgeo::TEXT,
+        ClassicBgeo => crate::bgeo::ROW,
         /// Houdini's binary geometry format since version 12.
         HoudiniJsonBinary => crate::houdini::BINARY,
-        /// The text variant of Houdini JSON geometry.
-        HoudiniJsonText => crate::houdini::TEXT,
         /// Houdini JSON geometry compressed with Blosc.
         HoudiniSc => crate::houdini::CONTAINER,
         /// VTK's legacy format, text or binary.

@@ -1,4 +1,4 @@
-//! Houdini geometry: the same document in all forms of the format, and errors.
+//! Houdini geometry: the same document in both byte orders and in the container, and errors.
 
 use crate::fixtures;
 
@@ -12,16 +12,14 @@ fn read(bytes: &[u8], name: &str) -> ParticleFrame {
     read_particles(bytes, name, &Limits::default()).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
-/// The document as text, as binary in both byte orders, and in the container.
+/// The document in both byte orders, and in the container.
 fn forms(text: &str) -> Vec<(&'static str, Vec<u8>)> {
     vec![
-        ("a.geo", text.into()),
         ("a.bgeo", binary(text, false)),
         ("big-endian.bgeo", binary(text, true)),
         ("a.bgeo.sc", container(&binary(text, false), 100)),
         ("large.bgeo.sc", container(&binary(text, false), 1 << 20)),
         ("big-endian.bgeo.sc", container(&binary(text, true), 100)),
-        ("a.geo.sc", container(text.as_bytes(), 128)),
     ]
 }
 
@@ -134,37 +132,48 @@ fn invalid_documents_are_errors_with_their_location() {
             assert!(error.contains(words), "{name}: expected `{words}` in: {error}");
         }
     }
-    let garbage = houdini::read_text(b"[\"a\",\n @]", &Limits::default()).unwrap_err().to_string();
-    assert!(garbage.contains("at line 2: expected a value, found `@`"), "{garbage}");
-    let more = [TUPLES, "[]"].concat();
-    let error = houdini::read_text(more.as_bytes(), &Limits::default()).unwrap_err().to_string();
+    let more = [&binary(TUPLES, false)[..], b"[]"].concat();
+    let error = houdini::read_binary(&more, &Limits::default()).unwrap_err().to_string();
     assert!(error.contains("expected the end of the file"), "{error}");
+}
+
+#[test]
+fn geometry_as_text_is_refused_with_advice() {
+    let classic: &[u8] = b"PGEOMETRY V5\nNPoints 1 NPrims 0\n";
+    let packed = container(TUPLES.as_bytes(), 128);
+    for (name, bytes) in [
+        ("a.geo", TUPLES.as_bytes()),
+        ("a.bgeo", TUPLES.as_bytes()),
+        ("b.geo", classic),
+        ("a.geo.sc", &packed),
+    ] {
+        let error = read_particles(bytes, name, &Limits::default()).expect_err(name).to_string();
+        assert!(error.contains("geometry as text is not supported: save it as .bgeo"), "{name}: {error}");
+    }
 }
 
 /// A constant page stores one value for all its points, so a small file could expand enormously.
 #[test]
 fn constant_pages_are_limited() {
-    let pages = "1,".repeat(100_000);
+    let pages = vec!["1"; 100_000].join(",");
     let text = format!(
         "[\"pointcount\",102400000,\"attributes\",[\"pointattributes\",[[[\"type\",\"numeric\",\"name\",\"P\"],\
          [\"values\",[\"size\",3,\"storage\",\"fpreal32\",\"pagesize\",1024,\"constantpageflags\",[[{pages}]],\
-         \"rawpagedata\",[{pages}{pages}{pages}]]]]]]]"
+         \"rawpagedata\",[{pages},{pages},{pages}]]]]]]]"
     );
-    let error = houdini::read_text(text.as_bytes(), &Limits::default()).unwrap_err();
+    let error = houdini::read_binary(&binary(&text, false), &Limits::default()).unwrap_err();
     assert!(matches!(error, Error::TooLarge { .. }), "{error}");
 }
 
 /// Deeply nested arrays must overflow neither the stack nor the memory.
 #[test]
 fn deeply_nested_arrays_are_skipped() {
-    let deep = |bytes: &[u8], signature: &[u8]| [signature, &b"[".repeat(4 << 20), bytes].concat();
-    for (bytes, name) in [(deep(b"", b""), "a.geo"), (deep(b"", b"\x7fNSJb"), "a.bgeo")] {
-        let error = read_particles(&bytes, name, &Limits::default()).unwrap_err();
-        assert!(error.to_string().contains("expected a key"), "{error}");
-    }
-    let inside = TUPLES.replace(
-        "\"whatever\",[[]]",
-        &format!("\"whatever\",{}{}", "[".repeat(1 << 20), "]".repeat(1 << 20)),
-    );
-    assert_eq!(read(inside.as_bytes(), "a.geo").positions.len(), 3);
+    let deep = [&b"\x7fNSJb"[..], &b"[".repeat(4 << 20)].concat();
+    let error = read_particles(&deep, "a.bgeo", &Limits::default()).unwrap_err();
+    assert!(error.to_string().contains("expected a key"), "{error}");
+    let document = binary(TUPLES, false);
+    let at = document.windows(4).position(|bytes| bytes == b"[[]]").expect("the value of \"whatever\"");
+    let deep = [b"[".repeat(1 << 20), b"]".repeat(1 << 20)].concat();
+    let inside = [&document[..at], &deep, &document[at + 4..]].concat();
+    assert_eq!(read(&inside, "a.bgeo").positions.len(), 3);
 }

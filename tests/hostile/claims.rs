@@ -61,9 +61,6 @@ fn tables_of_zeros_are_refused() {
     let scene = Scene::new();
     scene.write_with_hole("in/huge.1.vtk", b"# vtk DataFile Version 3.0\n", hole_bytes());
     scene.assert_costs_itself_alone("huge.1.vtk", "", most_of(hole_bytes()));
-    let scene = Scene::new();
-    scene.write_with_hole("in/huge.1.geo", b"[\"fileversion\",\"18\",", hole_bytes());
-    scene.assert_costs_itself_alone("huge.1.geo", "", most_of(hole_bytes()));
 }
 
 /// A line, a comment or a text has no end.
@@ -77,18 +74,14 @@ fn headers_without_end_are_refused() {
             .concat();
     let vtk = [b"# vtk DataFile Version 3.0\n", &filling(b'a')[..], b"\nASCII\nDATASET POLYDATA\n"].concat();
     let vtu = [b"<VTKFile type=\"", &filling(b'a')[..], b"\"></VTKFile>"].concat();
-    let json = [b"[\"fileversion\",\"", &filling(b'a')[..], b"\"]"].concat();
-    let nested = [b"[\"fileversion\",", &filling(b'[')[..]].concat();
     let dump = [b"ITEM: TIMESTEP\n1\nITEM: ", &filling(b'a')[..], b"\n"].concat();
     let csv = [b"x,y,z,", &filling(b'a')[..], b"\n0,0,0,0\n"].concat();
-    let cases: [(&str, Vec<u8>); 9] = [
+    let cases: [(&str, Vec<u8>); 7] = [
         ("long.1.npy", npy),
         ("long.1.ply", ply),
         ("lines.1.ply", lines),
         ("long.1.vtk", vtk),
         ("long.1.vtu", vtu),
-        ("long.1.geo", json),
-        ("nested.1.geo", nested),
         ("long.1.dump", dump),
         ("long.1.csv", csv),
     ];
@@ -117,7 +110,6 @@ fn attributes_without_end_are_refused() {
                 " 0",
             ),
         ),
-        ("many.1.geo", houdini_attributes()),
     ] {
         let scene = Scene::new();
         scene.write(format!("in/{name}"), &text);
@@ -167,23 +159,4 @@ fn vtk_elements() -> String {
             .expect("written");
     }
     text + "</PointData></Piece></PolyData></VTKFile>"
-}
-
-fn houdini_attributes() -> String {
-    let attribute = |name: &str, size: usize, tuple: &str| {
-        format!(
-            "[[\"scope\",\"public\",\"type\",\"numeric\",\"name\",\"{name}\",\"options\",{{}}],[\"size\",{size},\
-             \"storage\",\"fpreal32\",\"defaults\",[\"size\",1,\"storage\",\"fpreal64\",\"values\",[0]],\"values\",\
-             [\"size\",{size},\"storage\",\"fpreal32\",\"tuples\",[[{tuple}]]]]]"
-        )
-    };
-    let mut text = "[\"fileversion\",\"18.0.0\",\"hasindex\",false,\"pointcount\",1,\"vertexcount\",0,\"primitivecount\",0,\
-        \"topology\",[\"pointref\",[\"indices\",[]]],\"attributes\",[\"pointattributes\",["
-        .to_owned()
-        + &attribute("P", 3, "0,0,0");
-    for index in 0..attribute_count() {
-        text += ",";
-        text += &attribute(&format!("a{index}"), 1, "0");
-    }
-    text + "]]]"
 }

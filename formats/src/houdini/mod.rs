@@ -1,9 +1,8 @@
-//! Houdini's geometry since version 12: `.bgeo`, `.geo` and `.bgeo.sc`.
+//! Houdini's geometry since version 12: `.bgeo` and `.bgeo.sc`.
 //!
-//! A JSON document, as text or in Houdini's own binary encoding. Both can be compressed in blocks:
+//! A JSON document in Houdini's own binary encoding, which can be compressed in blocks:
 //!
 //! ```text
-//!   .geo        [ "fileversion", "19.5", "pointcount", 10, .. ]          text
 //!   .bgeo       7f 4e 53 4a 62 5b ..                                     tokens: a type byte and a payload
 //!   .bgeo.sc    scf1 .. (the above, in Blosc frames) .. index 1fcs       see `container`
 //! ```
@@ -42,11 +41,14 @@ use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, frame_of};
 use crate::number::{self, NumberType, components, divided};
 use crate::row::{FormatRow, ParticleReader};
-use tokens::{Binary, JsonToken, Lexer, TextTokens, TokenWalk, is_binary, text_count_max};
+use tokens::{JsonToken, TokenWalk, is_binary, text_count_max};
 use values::{numbers, tuples};
 
 /// The format's name in errors.
 const FORMAT: &str = "Houdini geometry";
+
+/// What to do with geometry as text.
+pub(crate) const TEXT_REFUSAL: &str = "geometry as text is not supported: save it as .bgeo or .bgeo.sc";
 
 /// Reads the points of binary geometry.
 ///
@@ -56,16 +58,7 @@ const FORMAT: &str = "Houdini geometry";
 /// or inconsistent, [`crate::Error::Unsupported`] if the points are not particles, [`crate::Error::TooLarge`]
 /// beyond `limits`.
 pub fn read_binary(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
-    read(TokenWalk::new(Lexer::Binary(Binary::new(bytes)?)), limits)
-}
-
-/// Reads the points of geometry in text form.
-///
-/// # Errors
-///
-/// Those of [`read_binary`].
-pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
-    read(TokenWalk::new(Lexer::Text(TextTokens::new(bytes))), limits)
+    read(TokenWalk::new(bytes)?, limits)
 }
 
 /// Reads the points of geometry compressed in blocks.
@@ -78,7 +71,7 @@ pub fn read_container(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     if is_binary(&decompressed) {
         read_binary(&decompressed, limits)
     } else {
-        read_text(&decompressed, limits)
+        Err(Error::unsupported(FORMAT, TEXT_REFUSAL))
     }
 }
 
@@ -90,18 +83,12 @@ pub(crate) static BINARY: FormatRow = FormatRow {
     ..FormatRow::new("Houdini geometry (binary JSON)", &["bgeo"])
 };
 
-/// The row of text files in the table of formats.
-pub(crate) static TEXT: FormatRow = FormatRow {
-    particles: Some(ParticleReader::needs_reading(read_text)),
-    ..FormatRow::new("Houdini geometry (JSON text)", &["geo"])
-};
-
 /// The row of compressed files in the table of formats.
 pub(crate) static CONTAINER: FormatRow = FormatRow {
     signatures: &[b"scf1"],
     beginnings: &[b"scf1"],
     particles: Some(ParticleReader::needs_reading(read_container)),
-    ..FormatRow::new("Houdini geometry (.sc, Blosc-compressed)", &["bgeo.sc", "geo.sc"])
+    ..FormatRow::new("Houdini geometry (.sc, Blosc-compressed)", &["bgeo.sc"])
 };
 
 // Reads the document: counts, point attributes and the types of the primitives.
@@ -300,7 +287,7 @@ fn point_attribute(walk: &mut TokenWalk, count: usize, limits: &Limits) -> Resul
     Ok(attribute)
 }
 
-/// Maximum length in bytes of the name or type of an attribute. The binary form stores a repeated string
+/// Maximum length in bytes of the name or type of an attribute. The format stores a repeated string
 /// once, as a word: without this limit, many attributes could each copy the same long word.
 const NAME_BYTES_MAX: usize = 1024;
 
@@ -388,7 +375,7 @@ fn texts(walk: &mut TokenWalk) -> Result<Vec<String>> {
     }
 }
 
-/// Fails if the strings need too much memory: in the binary form, many strings can refer to the same word.
+/// Fails if the strings need too much memory: many strings can refer to the same word.
 fn check_texts(walk: &mut TokenWalk, texts: &[Cow<str>]) -> Result<()> {
     walk.check_widened(texts.iter().map(|text| size_of::<String>() + text.len()).sum())
 }

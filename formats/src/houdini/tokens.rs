@@ -1,4 +1,4 @@
-//! Reads the tokens of either form, binary or text, one after the other.
+//! Reads tokens one after the other.
 //!
 //! [`TokenWalk`] does not keep the tokens that it has passed: skipped data costs no memory, regardless of its
 //! depth and length.
@@ -12,36 +12,11 @@ use crate::data::Values;
 use crate::error::{Error, Position, Result};
 use crate::limits::Limits;
 use crate::number::NumberType;
-use crate::text::{excerpt, line_number};
-
-/// A tokenizer of either form.
-pub(super) enum Lexer<'a> {
-    Binary(Binary<'a>),
-    Text(TextTokens<'a>),
-}
-
-impl<'a> Lexer<'a> {
-    /// The next token; `None` at the end of the file.
-    fn next(&mut self) -> Result<Option<JsonToken<'a>>> {
-        match self {
-            Lexer::Binary(lexer) => lexer.next(),
-            Lexer::Text(lexer) => lexer.next(),
-        }
-    }
-
-    /// Offset of the next token, in bytes from the start of the file.
-    fn at(&self) -> usize {
-        match self {
-            Lexer::Binary(lexer) => lexer.cursor.at(),
-            Lexer::Text(lexer) => lexer.at,
-        }
-    }
-}
+use crate::text::excerpt;
 
 /// A cursor over the tokens. It tracks its location for errors: the offset, and the keys on the path to it.
 pub(super) struct TokenWalk<'a> {
     lexer: Lexer<'a>,
-    file_bytes: usize,
     path: Vec<String>,
     /// Total size of expanded constant pages (see [`super::values`]), in bytes.
     spread_bytes: u64,
@@ -50,23 +25,24 @@ pub(super) struct TokenWalk<'a> {
 }
 
 impl<'a> TokenWalk<'a> {
-    pub(super) fn new(lexer: Lexer<'a>) -> TokenWalk<'a> {
-        let file_bytes = match &lexer {
-            Lexer::Binary(lexer) => lexer.file_bytes,
-            Lexer::Text(lexer) => lexer.bytes.len(),
-        };
-        TokenWalk { lexer, file_bytes, path: Vec::new(), spread_bytes: 0, widened_bytes: 0 }
+    pub(super) fn new(bytes: &'a [u8]) -> Result<TokenWalk<'a>> {
+        Ok(TokenWalk { lexer: Lexer::new(bytes)?, path: Vec::new(), spread_bytes: 0, widened_bytes: 0 })
     }
 
     pub(super) fn file_bytes(&self) -> usize {
-        self.file_bytes
+        self.lexer.file_bytes
+    }
+
+    /// Offset of the next token, in bytes from the start of the file.
+    fn at(&self) -> usize {
+        self.lexer.cursor.at()
     }
 
     /// Adds `bytes` of expanded constant pages to the total, and fails if the total is too large for the size
     /// of the file: constant pages are a form of compression.
     pub(super) fn check_spread(&mut self, bytes: u64, limits: &Limits) -> Result<()> {
         self.spread_bytes = self.spread_bytes.saturating_add(bytes);
-        limits.check_decompressed(FORMAT, self.spread_bytes, self.file_bytes as u64)
+        limits.check_decompressed(FORMAT, self.spread_bytes, self.file_bytes() as u64)
     }
 
     /// Adds `bytes` of memory for items that take less space in the file to the total, and fails if the total
@@ -74,7 +50,7 @@ impl<'a> TokenWalk<'a> {
     /// than declared.
     pub(super) fn check_widened(&mut self, bytes: usize) -> Result<()> {
         self.widened_bytes = self.widened_bytes.saturating_add(bytes);
-        let most = widened_bytes_max(self.file_bytes);
+        let most = widened_bytes_max(self.file_bytes());
         if self.widened_bytes <= most {
             Ok(())
         } else {
@@ -84,7 +60,7 @@ impl<'a> TokenWalk<'a> {
 
     /// Number of bytes that remain.
     pub(super) fn remaining(&self) -> usize {
-        self.file_bytes - self.lexer.at().min(self.file_bytes)
+        self.file_bytes() - self.at().min(self.file_bytes())
     }
 
     /// The next token; the end of the file is an error.
@@ -93,7 +69,7 @@ impl<'a> TokenWalk<'a> {
             Some(token) => Ok(token),
             None => {
                 let what = format!("{}: the file ends within the document", self.shown_path());
-                Err(Error::truncated(FORMAT, Position::Offset(self.lexer.at() as u64), what))
+                Err(Error::truncated(FORMAT, Position::Offset(self.at() as u64), what))
             }
         }
     }
@@ -202,7 +178,7 @@ impl<'a> TokenWalk<'a> {
         }
     }
 
-    /// Checks that nothing but blanks follows the document.
+    /// Checks that nothing follows the document.
     pub(super) fn finish(&mut self) -> Result<()> {
         match self.lexer.next()? {
             None => Ok(()),
@@ -228,7 +204,7 @@ impl<'a> TokenWalk<'a> {
 
     pub(super) fn invalid(&self, what: impl AsRef<str>) -> Error {
         let what = format!("{}: {}", self.shown_path(), what.as_ref());
-        Error::invalid(FORMAT, Position::Offset(self.lexer.at() as u64), what)
+        Error::invalid(FORMAT, Position::Offset(self.at() as u64), what)
     }
 
     fn shown_path(&self) -> String {
@@ -239,7 +215,7 @@ impl<'a> TokenWalk<'a> {
     }
 }
 
-// A token of JSON, in text or binary form, and limits of the memory that tokens may take.
+// A token of JSON, and limits of the memory that tokens may take.
 
 /// A token of JSON. Commas and colons carry no information and are not tokens.
 #[derive(Clone, Debug, PartialEq)]
@@ -252,7 +228,7 @@ pub(super) enum JsonToken<'a> {
     Integer(i64),
     Real(f64),
     Text(Cow<'a, str>),
-    /// A uniform array of numbers. This and the following tokens occur only in the binary form.
+    /// A uniform array of numbers.
     Numbers {
         number: NumberType,
         endian: Endian,
@@ -275,7 +251,7 @@ fn widened_bytes_max(file_bytes: usize) -> usize {
     (16 << 20) + 2 * file_bytes
 }
 
-// Tokens of the binary form.
+// The encoding of tokens.
 //
 //   7f  4e 53 4a 62                     the signature; the last four bytes in the byte order of the writer
 //   00 null   30 31 false true   10 bool: u8   11..14 int8..64   18 19 1a real16..64   21 22 uint8..16
@@ -298,21 +274,21 @@ const WORD_COUNT_MAX: usize = 1 << 16;
 /// times their size in the file.
 const BOOL_COUNT_FREE: usize = 1 << 22;
 
-/// Whether the file is in binary form, in either byte order.
+/// Whether the file has this encoding, in either byte order.
 pub(super) fn is_binary(bytes: &[u8]) -> bool {
     bytes.starts_with(&SIGNATURE) || bytes.starts_with(&SIGNATURE_BIG)
 }
 
-/// The lexer of the binary form.
-pub(super) struct Binary<'a> {
+/// Reads tokens.
+struct Lexer<'a> {
     cursor: Cursor<'a>,
     endian: Endian,
     file_bytes: usize,
     words: HashMap<u64, &'a [u8]>,
 }
 
-impl<'a> Binary<'a> {
-    pub(super) fn new(bytes: &'a [u8]) -> Result<Binary<'a>> {
+impl<'a> Lexer<'a> {
+    fn new(bytes: &'a [u8]) -> Result<Lexer<'a>> {
         let endian = match bytes.get(..SIGNATURE.len()) {
             Some(start) if start == SIGNATURE => Endian::Little,
             Some(start) if start == SIGNATURE_BIG => Endian::Big,
@@ -326,10 +302,11 @@ impl<'a> Binary<'a> {
             }
         };
         let cursor = Cursor::new(FORMAT, endian, bytes, SIGNATURE.len());
-        Ok(Binary { cursor, endian, file_bytes: bytes.len(), words: HashMap::new() })
+        Ok(Lexer { cursor, endian, file_bytes: bytes.len(), words: HashMap::new() })
     }
 
-    pub(super) fn next(&mut self) -> Result<Option<JsonToken<'a>>> {
+    /// The next token; `None` at the end of the file.
+    fn next(&mut self) -> Result<Option<JsonToken<'a>>> {
         while self.cursor.remaining() != 0 {
             let code = self.cursor.u8("a token")?;
             match code {
@@ -506,102 +483,4 @@ fn number_of(code: u8) -> Option<NumberType> {
         0x22 => NumberType::U16,
         _ => return None,
     })
-}
-
-// Tokens of the text form.
-
-/// The lexer of the text form.
-pub(super) struct TextTokens<'a> {
-    bytes: &'a [u8],
-    at: usize,
-}
-
-impl<'a> TextTokens<'a> {
-    pub(super) fn new(bytes: &'a [u8]) -> TextTokens<'a> {
-        let at = if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
-        TextTokens { bytes, at }
-    }
-
-    pub(super) fn next(&mut self) -> Result<Option<JsonToken<'a>>> {
-        let rest = &self.bytes[self.at..];
-        let is_between = |byte: &&u8| byte.is_ascii_whitespace() || matches!(byte, b',' | b':');
-        self.at += rest.iter().take_while(is_between).count();
-        let rest = &self.bytes[self.at..];
-        let Some(&first) = rest.first() else { return Ok(None) };
-        let token = match first {
-            b'[' | b'{' => JsonToken::Open,
-            b']' | b'}' => JsonToken::Close,
-            b'"' => return self.text().map(Some),
-            _ => return self.word().map(Some),
-        };
-        self.at += 1;
-        Ok(Some(token))
-    }
-
-    fn text(&mut self) -> Result<JsonToken<'a>> {
-        let rest = &self.bytes[self.at + 1..];
-        let mut has_escapes = false;
-        let mut length = 0;
-        loop {
-            match rest.get(length) {
-                Some(b'"') => break,
-                Some(b'\\') => {
-                    has_escapes = true;
-                    length += 2;
-                }
-                Some(_) => length += 1,
-                None => {
-                    return Err(Error::truncated(FORMAT, self.position(), "the file ends within a string"));
-                }
-            }
-        }
-        let start = self.at;
-        self.at += length + 2;
-        if !has_escapes {
-            return Ok(JsonToken::Text(String::from_utf8_lossy(&rest[..length])));
-        }
-        let text: String = serde_json::from_slice(&self.bytes[start..self.at]).map_err(|_| {
-            let what = "a string has an escape that JSON does not define";
-            Error::invalid(FORMAT, Position::Line(line_number(self.bytes, start)), what)
-        })?;
-        Ok(JsonToken::Text(Cow::Owned(text)))
-    }
-
-    /// Parses a number, `null`, `true` or `false`.
-    fn word(&mut self) -> Result<JsonToken<'a>> {
-        let rest = &self.bytes[self.at..];
-        let is_part = |byte: &&u8| byte.is_ascii_alphanumeric() || matches!(byte, b'+' | b'-' | b'.');
-        let length = rest.iter().take_while(is_part).count();
-        let word = &rest[..length];
-        let token = match word {
-            b"null" => Some(JsonToken::Null),
-            b"true" => Some(JsonToken::Bool(true)),
-            b"false" => Some(JsonToken::Bool(false)),
-            _ => number(word),
-        };
-        if let Some(token) = token.filter(|_| length != 0) {
-            self.at += length;
-            return Ok(token);
-        }
-        let found = rest[..length.clamp(1, 24)].escape_ascii();
-        let what = format!("expected a value, found `{found}`");
-        Err(if length == rest.len() {
-            Error::truncated(FORMAT, self.position(), what)
-        } else {
-            // the word may be truncated
-            Error::invalid(FORMAT, self.position(), what)
-        })
-    }
-
-    fn position(&self) -> Position {
-        Position::Line(line_number(self.bytes, self.at))
-    }
-}
-
-fn number<'a>(word: &[u8]) -> Option<JsonToken<'a>> {
-    let text = std::str::from_utf8(word).ok()?;
-    match text.parse() {
-        Ok(integer) => Some(JsonToken::Integer(integer)),
-        Err(_) => fast_float2::parse(word).ok().map(JsonToken::Real),
-    }
 }

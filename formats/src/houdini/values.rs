@@ -111,8 +111,8 @@ fn storage_of(walk: &mut TokenWalk) -> Result<NumberType> {
 /// than `most` numbers.
 pub(super) fn numbers(walk: &mut TokenWalk, name: &str, storage: NumberType, most: usize) -> Result<Values> {
     walk.within(name, |walk| {
-        // The capacity to reserve: a number takes at least two bytes of the file. Only uniform arrays of the
-        // binary form can take fewer.
+        // The capacity to reserve: a number takes at least two bytes of the file. Only in uniform arrays it can
+        // take fewer.
         let capacity = most.min(walk.remaining() / 2);
         let mut list = List(storage.zeros(0));
         let mut depth = 0usize;

@@ -20,12 +20,8 @@
 //!
 //! The layout was derived from files of the named programs and from partio's own reader.
 
-mod text;
-
 use std::io::Write;
 use std::sync::Arc;
-
-pub use text::read_text;
 
 use crate::batches::{self, ReadAt, Records};
 use crate::bytes::{Cursor, Endian};
@@ -59,8 +55,8 @@ fn narrow(value: f64) -> f32 {
     value as f32
 }
 
-/// The row of the binary form in the table of formats.
-pub(crate) static BINARY: FormatRow = FormatRow {
+/// The row of the format in the table of formats.
+pub(crate) static ROW: FormatRow = FormatRow {
     signatures: &[b"Bgeo"],
     beginnings: &[MAGIC],
     particles: Some(ParticleReader {
@@ -69,14 +65,6 @@ pub(crate) static BINARY: FormatRow = FormatRow {
         ..ParticleReader::new(read)
     }),
     ..FormatRow::new(FORMAT, &["bgeo", "bhclassic"])
-};
-
-/// The row of the text form in the table of formats.
-pub(crate) static TEXT: FormatRow = FormatRow {
-    signatures: &[b"PGEOMETRY"],
-    beginnings: &[b"PGEOMETRY"],
-    particles: Some(ParticleReader::new(read_text)),
-    ..FormatRow::new("classic Houdini GEO (text)", &["geo", "hclassic"])
 };
 
 /// The completeness of a file according to its header.

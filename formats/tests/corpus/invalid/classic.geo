@@ -1,2 +1,0 @@
-PGEOMETRY V5
-NPoints 0 NPrims 0

@@ -1,4 +1,0 @@
-[
-	"fileversion","19.5.303",
-	"pointcount",2
-]
