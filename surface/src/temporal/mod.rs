@@ -19,7 +19,7 @@
 //!
 //! A voxel comes inside only beside one that was inside, so that nearly no piece appears where the frame has
 //! no fluid: one remains only if the voxels beside it leave at the same time, or if restoring distances parts
-//! it. `docs/results.md` has the measured number: none.
+//! it. `docs/results.md` has the measured number.
 //!
 //! The caller restores distances afterwards, and clamps φ to the bounds of the frame. So the guarantees are
 //! those of a frame alone.
