@@ -1,5 +1,5 @@
 //! MurmurHash3 of a stream, in the 128-bit variant for 64-bit machines with seed 0. Alembic identifies
-//! samples by this hash, and the writer of binary USD recognises equal arrays by it.
+//! samples by this hash.
 
 use std::io::{self, Write};
 

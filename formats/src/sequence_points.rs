@@ -19,10 +19,6 @@ pub struct PointsSummary {
     count: usize,
     /// What the positions of the frame's own file are relative to, world units.
     origin: [f64; 3],
-    /// The minimum and maximum corner of the positions, world units; zeros without points.
-    bounds: [[f64; 3]; 2],
-    /// The largest radius, world units.
-    radius: f32,
     columns: Vec<PointColumn>,
 }
 
@@ -56,11 +52,6 @@ impl PointsSummary {
         Ok(PointsSummary {
             count: frame.positions.len(),
             origin: points.origin,
-            bounds: match &frame.positions {
-                FilePositions::F32(positions) => bounds(positions.iter().map(|p| p.map(f64::from))),
-                FilePositions::F64(positions) => bounds(positions.iter().copied()),
-            },
-            radius: points.radius(),
             columns: frame.attributes.iter().map(PointColumn::of).collect(),
         })
     }
@@ -69,17 +60,6 @@ impl PointsSummary {
     pub fn count(&self) -> usize {
         self.count
     }
-}
-
-fn bounds(positions: impl Iterator<Item = [f64; 3]>) -> [[f64; 3]; 2] {
-    let corners = positions.fold(None, |corners: Option<[[f64; 3]; 2]>, position| {
-        let [low, high] = corners.unwrap_or([position; 2]);
-        let corner = |of: fn(f64, f64) -> f64, corner: [f64; 3]| {
-            std::array::from_fn(|axis| of(corner[axis], position[axis]))
-        };
-        Some([corner(f64::min, low), corner(f64::max, high)])
-    });
-    corners.unwrap_or_default()
 }
 
 impl PointColumn {

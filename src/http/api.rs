@@ -241,12 +241,12 @@ fn exposition(store: &StatusStore) -> String {
         ("meniscus_queue_depth", "Frames in the queue.", Some(counts.queued as u64)),
         (
             "meniscus_paused",
-            "1 while the daemon is paused: an output disk is full, not mounted, or refuses writes.",
+            "1 while the daemon is paused: an output disk is full or refuses writes.",
             Some(u64::from(status.paused.is_some())),
         ),
         (
             "meniscus_unavailable_folders",
-            "Watched and output folders that are unavailable.",
+            "Watched folders that are unavailable.",
             Some(unavailable_count),
         ),
         (

@@ -55,7 +55,7 @@ struct EventLoop<'a> {
 }
 
 /// How long frames in progress may take to finish after a request to stop.
-pub const STOP_DEADLINE: Duration = Duration::from_secs(30);
+const STOP_DEADLINE: Duration = Duration::from_secs(30);
 
 /// How often the status is reported.
 const TICK: Duration = Duration::from_secs(1);

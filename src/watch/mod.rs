@@ -24,6 +24,6 @@ pub(crate) mod test_records;
 
 pub use api::{EndReason, FailedFrame, Notice, WatchSummary};
 pub use config::{Order, Poll, Watch, WatchConfig, names_level_sets};
-pub use event_loop::{STOP_DEADLINE, run};
+pub use event_loop::run;
 pub use io::error::DaemonError;
 pub use io::{lock, selection};

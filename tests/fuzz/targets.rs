@@ -123,11 +123,10 @@ fn checked(frame: Result<ParticleFrame>) {
 }
 
 /// File names, for formats that the content does not determine. The first byte of the input chooses one.
-const NAMES: [&str; 16] = [
+const NAMES: [&str; 15] = [
     "f",
     "f.ply",
     "f.bgeo",
-    "f.geo",
     "f.csv",
     "f.txt",
     "f.xyz",

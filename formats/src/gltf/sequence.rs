@@ -175,7 +175,7 @@ fn keys(frames: &[SequenceFrame], fps: f64) -> Result<Vec<Vec<ScaleKey>>> {
         if end <= seconds(frame.code) {
             return Err(invalid(format!(
                 "the frame number of {} is too large, or equal to the next: 32-bit times cannot separate the two; \
-                 renumber the frames, or write .usdc or .abc",
+                 renumber the frames, or write .abc",
                 frame.name
             )));
         }

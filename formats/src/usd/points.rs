@@ -19,7 +19,6 @@ use crate::columns::role_of;
 use crate::container::{ContainerFile, ContainerFrames, ContainerReader, Sample, frame_at};
 use crate::data::{AttributeRole, ParticleFrame, Values};
 use crate::error::{Error, Position, Result};
-use crate::gltf::SEQUENCE_FRAMES;
 use crate::limits::Limits;
 use crate::matrix::{IDENTITY, change_vectors, transformed};
 use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts, placed};
@@ -163,8 +162,7 @@ impl PointPrims {
                 .push(format!("skipped prims for purposes other than rendering: {}", excerpts(&unrendered)));
         }
         found.notes.extend(stage.left_out_note());
-        let is_sequence = others.contains_key("Mesh") && is_own_sequence(stage)?;
-        if !found.prims.is_empty() && !is_sequence {
+        if !found.prims.is_empty() {
             return Ok(found);
         }
         if others.contains_key("Mesh") {
@@ -179,14 +177,6 @@ impl PointPrims {
             format!("the stage has no prims of the type Points or PointInstancer; it has {others}{left_out}");
         Err(Error::unsupported(FORMAT, what))
     }
-}
-
-/// Whether the stage is a sequence file of this crate: its points are beside meshes, and repeated before the next frame.
-fn is_own_sequence(stage: &ComposedStage) -> Result<bool> {
-    stage.root_layer(|layer| {
-        let recorded = layer.entry(&layer.field(0, "customLayerData")?, "meniscus")?;
-        Ok(layer.entry(&recorded, SEQUENCE_FRAMES)?.is_some())
-    })
 }
 
 fn read_prim(

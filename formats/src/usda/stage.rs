@@ -10,8 +10,7 @@
 //! ```
 //!
 //! The meshes are **value clips**: at each time, all values come from the file of one frame. Among the
-//! mechanisms of USD this is the one with which a mesh is a single prim with time samples, as in a sequence
-//! file. So Blender, Houdini and usdview play it, blur it by its velocities, and open only the files of the
+//! mechanisms of USD this is the one with which a mesh is a single prim with time samples. So Blender, Houdini and usdview play it, blur it by its velocities, and open only the files of the
 //! times that they show. A payload for each frame would need a prim for each frame, all of them loaded, and
 //! visibilities that Blender does not animate.
 //!

@@ -8,7 +8,7 @@ use super::Cli;
 
 /// The options that `-h` shows, and in which words.
 pub(super) const ORDINARY: [(&str, &str); 24] = [
-    ("out", "Folder for the results; names such as dam.####.glb; one file"),
+    ("out", "Folder for the results"),
     ("config", "File with folders and settings"),
     ("once", "Convert the existing frames, and exit"),
     ("pattern", "Only files with names such as 'dam.*.bgeo'"),
@@ -28,7 +28,7 @@ pub(super) const ORDINARY: [(&str, &str); 24] = [
     ("where", "Only particles that meet this condition, such as 'phase == 0'"),
     ("radius_attribute", "Attribute with each particle's own radius, such as pscale"),
     ("attributes", "Attributes for the surface, such as velocity,Cd, or all"),
-    ("temporal", "Average each surface with those of N frames around it"),
+    ("temporal", "Average each surface with N frames before and after it"),
     ("obstacle", "Mesh or level set that the surface must not enter"),
     ("threads", "Number of threads [default: all cores]"),
     ("memory", "Memory limit, such as 8GiB [default: half of the machine's]"),

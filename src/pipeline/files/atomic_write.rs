@@ -185,16 +185,27 @@ pub(crate) fn sync_while<T, E: From<io::Error>>(
 const SYNC_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Removes all temporary files, and blocks all further writes and renames. For a process that exits right
-/// afterwards: every thread that writes waits forever.
+/// afterwards: every thread that writes waits forever. It does not wait for a rename that hangs: then the next start
+/// of the program removes the files.
 pub fn stop_writing() {
-    let temporaries = active_temporaries();
-    for path in temporaries.iter() {
-        // An error cannot be reported any more.
-        let _ = fs::remove_file(path);
+    let (done, is_done) = channel();
+    let stop = move || {
+        let temporaries = active_temporaries();
+        for path in temporaries.iter() {
+            // An error cannot be reported any more.
+            let _ = fs::remove_file(path);
+        }
+        remove_left_behind();
+        std::mem::forget(temporaries);
+        let _ = done.send(());
+    };
+    if thread::Builder::new().name("stop".into()).spawn(stop).is_ok() {
+        let _ = is_done.recv_timeout(STOP_TIMEOUT);
     }
-    remove_left_behind();
-    std::mem::forget(temporaries);
 }
+
+/// Longer than a file system takes that responds.
+const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 
 #[cfg(test)]
 mod tests {

@@ -36,6 +36,8 @@ struct Full {
 #[derive(Clone, Debug)]
 pub(crate) struct FoundSpace<'a> {
     pub(crate) folder: &'a Path,
+    /// Why this daemon may not write there, if it may not.
+    pub(crate) lost: Option<&'a str>,
     /// Free bytes, if the file system reports them.
     pub(crate) free_bytes: Option<u64>,
 }
@@ -86,6 +88,10 @@ impl DiskGuard {
     /// Decides again, from the current state of the folders, whether frames may start. A folder with unknown
     /// free space does not block, because an attempt to write there reports what is wrong.
     pub(crate) fn check(&mut self, found: &[FoundSpace<'_>], now: Instant) {
+        if let Some(why) = found.iter().find_map(|found| found.lost) {
+            self.block = Some(WriteBlock::Refused(why.to_owned(), now));
+            return;
+        }
         match &mut self.block {
             Some(WriteBlock::Full(full)) => {
                 let of_disk = found.iter().find(|found| full.folder.starts_with(found.folder));
@@ -130,8 +136,18 @@ mod tests {
 
     const OUT: &str = "/out";
 
+    #[test]
+    fn folder_of_another_daemon_blocks_until_it_is_free() {
+        let now = Instant::now();
+        let mut guard = DiskGuard::new(0);
+        guard.check(&[FoundSpace { lost: Some("another daemon"), ..found(9)[0].clone() }], now);
+        assert_eq!(guard.reason().as_deref(), Some("another daemon; trying again soon"));
+        guard.check(&found(9), now);
+        assert_eq!(guard.reason(), None);
+    }
+
     fn found(free_bytes: u64) -> [FoundSpace<'static>; 1] {
-        [FoundSpace { folder: Path::new(OUT), free_bytes: Some(free_bytes) }]
+        [FoundSpace { folder: Path::new(OUT), lost: None, free_bytes: Some(free_bytes) }]
     }
 
     #[test]

@@ -84,11 +84,13 @@ pub(crate) struct Scan {
 }
 
 /// The state of a folder of outputs at a check.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct OutputFolderState {
     pub(crate) output: usize,
     /// Whether it was removed, and is created again.
     pub(crate) was_removed: bool,
+    /// Why it is not locked any more, as when another daemon has created it again.
+    pub(crate) lost: Option<String>,
     /// Free bytes, if the file system reports them.
     pub(crate) free_bytes: Option<u64>,
 }

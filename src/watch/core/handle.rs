@@ -78,14 +78,14 @@ impl Core {
     }
 
     fn on_output_folder_checked(&mut self, found: OutputFolderState) {
-        let OutputFolderState { output, was_removed, free_bytes } = found;
+        let OutputFolderState { output, was_removed, lost, free_bytes } = found;
         let output = &mut self.output_folders[output];
-        output.free_bytes = free_bytes;
+        (output.lost, output.free_bytes) = (lost, free_bytes);
         if was_removed {
             let folder = output.folder.clone();
             self.log_about(
                 folder,
-                |folder| tracing::warn!(%folder, "output folder was removed and created again"),
+                |folder| tracing::warn!(%folder, "output folder was replaced or created again"),
             );
             // Its outputs may be gone as well.
             self.scan_all();

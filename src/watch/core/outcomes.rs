@@ -154,9 +154,6 @@ impl Core {
             }
             RetryAction::AwaitOutputs => {
                 let folder = error.path.parent().unwrap_or(Path::new("."));
-                // The last known free space is out of date.
-                let output = &mut self.output_folders[self.output_folder_of[id.root]];
-                output.free_bytes = free_bytes.or(output.free_bytes);
                 if error.is_disk_full() {
                     self.guard.on_full(folder, free_bytes, now);
                 } else {

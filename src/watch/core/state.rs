@@ -76,6 +76,8 @@ pub(crate) struct OutputFolder {
     /// The absolute path.
     pub(super) folder: PathBuf,
     pub(super) records: LatestRecords,
+    /// Why this daemon may not write there, if it may not.
+    pub(super) lost: Option<String>,
     /// Free bytes, if the file system reports them.
     pub(super) free_bytes: Option<u64>,
 }
@@ -109,7 +111,8 @@ impl Core {
             was_scanned: false,
             unreadable: BTreeMap::new(),
         };
-        let new_output = |(folder, records, free_bytes)| OutputFolder { folder, records, free_bytes };
+        let new_output =
+            |(folder, records, free_bytes)| OutputFolder { folder, records, lost: None, free_bytes };
         Core {
             queue: Queue::new(config.order),
             guard: DiskGuard::new(config.disk_floor_bytes),
@@ -227,7 +230,11 @@ impl Core {
         let found: Vec<FoundSpace<'_>> = self
             .output_folders
             .iter()
-            .map(|OutputFolder { folder, free_bytes, .. }| FoundSpace { folder, free_bytes: *free_bytes })
+            .map(|OutputFolder { folder, lost, free_bytes, .. }| FoundSpace {
+                folder,
+                lost: lost.as_deref(),
+                free_bytes: *free_bytes,
+            })
             .collect();
         self.guard.check(&found, self.now.at);
         match self.guard.reason() {

@@ -271,7 +271,8 @@ impl Rig {
     }
 
     fn set_free_bytes(&mut self, free_bytes: u64) {
-        let found = OutputFolderState { output: 0, was_removed: false, free_bytes: Some(free_bytes) };
+        let found =
+            OutputFolderState { output: 0, was_removed: false, lost: None, free_bytes: Some(free_bytes) };
         self.event(Event::OutputFolderChecked(found));
     }
 
@@ -496,7 +497,7 @@ fn removed_outputs_are_made_again() {
     rig.started();
     rig.want();
     rig.outputs.clear();
-    let found = OutputFolderState { output: 0, was_removed: true, free_bytes: Some(2 * GIB) };
+    let found = OutputFolderState { output: 0, was_removed: true, lost: None, free_bytes: Some(2 * GIB) };
     rig.event(Event::OutputFolderChecked(found));
     rig.scan(0);
     assert_eq!(rig.started(), ["a.1.ply"]);

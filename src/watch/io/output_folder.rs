@@ -13,7 +13,7 @@ use crate::watch::core::events::{Event, OutputFolderState, OutputRequest};
 
 use super::error::DaemonError;
 use super::file_system::free_bytes;
-use super::lock::OutputLock;
+use super::lock::{LockError, OutputLock};
 use super::usd_stages::FolderUsdStages;
 use super::worker::Work;
 
@@ -113,10 +113,16 @@ impl OutputFolderWorker {
 
     fn check(&mut self, report: &dyn Fn(Event)) {
         self.next_check = Instant::now() + CHECK_EVERY;
+        let (was_removed, lost) = match self.guard.restore() {
+            Ok(was_removed) => (was_removed, None),
+            Err(error) => (false, Some(error.to_string())),
+        };
+        let free_bytes = free_bytes(&self.guard.folder).ok();
         report(Event::OutputFolderChecked(OutputFolderState {
             output: self.index,
-            was_removed: self.guard.restore(),
-            free_bytes: free_bytes(&self.guard.folder).ok(),
+            was_removed,
+            lost,
+            free_bytes,
         }));
     }
 
@@ -181,19 +187,18 @@ impl Work for OutputFolderWorker {
 }
 
 impl OutputGuard {
-    /// If the folder was removed, creates it again and locks it. Returns whether it did. If it cannot, writing its
-    /// outputs reports why.
-    fn restore(&self) -> bool {
+    /// If the folder was removed, creates it again and locks it. Returns whether it did.
+    ///
+    /// # Errors
+    /// If another daemon has locked it meanwhile, or the system refuses.
+    fn restore(&self) -> Result<bool, LockError> {
         // The value is replaced as a whole, so it is consistent even if the lock is poisoned.
         let mut lock = self.lock.lock().unwrap_or_else(PoisonError::into_inner);
         if lock.is_in_place(&self.folder) {
-            return false;
+            return Ok(false);
         }
-        match OutputLock::take(&self.folder) {
-            Ok(taken) => *lock = taken,
-            Err(_) => return false,
-        }
-        true
+        *lock = OutputLock::take(&self.folder)?;
+        Ok(true)
     }
 }
 
