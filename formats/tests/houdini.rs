@@ -148,7 +148,7 @@ fn geometry_as_text_is_refused_with_advice() {
         ("a.geo.sc", &packed),
     ] {
         let error = read_particles(bytes, name, &Limits::default()).expect_err(name).to_string();
-        assert!(error.contains("geometry as text is not supported: save it as .bgeo"), "{name}: {error}");
+        assert!(error.contains("only binary geometry is supported: save it as .bgeo"), "{name}: {error}");
     }
 }
 

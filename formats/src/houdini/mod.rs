@@ -48,7 +48,7 @@ use values::{numbers, tuples};
 const FORMAT: &str = "Houdini geometry";
 
 /// What to do with geometry as text.
-pub(crate) const TEXT_REFUSAL: &str = "geometry as text is not supported: save it as .bgeo or .bgeo.sc";
+pub(crate) const TEXT_REFUSAL: &str = "only binary geometry is supported: save it as .bgeo or .bgeo.sc";
 
 /// Reads the points of binary geometry.
 ///
