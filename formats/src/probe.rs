@@ -7,7 +7,6 @@
 
 use std::borrow::Cow;
 use std::fmt;
-use std::ops::Range;
 
 use crate::abc;
 use crate::compression::{Codec, name_without_compression};
@@ -155,11 +154,6 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
     if let Some(&(_, name)) = FOREIGN_SIGNATURES.iter().find(|(signature, _)| head.starts_with(signature)) {
         return ProbedKind::Foreign(name);
     }
-    if (head.starts_with(b"FOR4") || head.starts_with(b"FOR8"))
-        && contains(&head[..head.len().min(32)], b"CACH")
-    {
-        return ProbedKind::Foreign(MAYA);
-    }
     if head.starts_with(b"PK\x03\x04") {
         let member = first_member(head).unwrap_or_default();
         let is_layer = |ending: &&[u8]| member.ends_with(ending);
@@ -195,17 +189,16 @@ fn kind_of(head: &[u8], name: &str) -> ProbedKind {
             _ if is_text(first_line) && csv::names_position(first_line) => {
                 ProbedKind::Format(Format::Delimited)
             }
-            _ if name.ends_with(".bobj") => ProbedKind::Foreign(BOBJ),
             _ => ProbedKind::Unknown,
         };
     }
-    if let Some(&(name, _)) = FOREIGN_TEXTS.iter().find(|(_, is_such)| is_such(text)) {
-        return ProbedKind::Foreign(name);
+    // Its rows would be a table.
+    if looks_like_lammps_data(text) {
+        return ProbedKind::Foreign(LAMMPS_DATA);
     }
     match text.first() {
-        Some(b'[') if starts_with_section(text) && continues_as_toml(text) => ProbedKind::Foreign("TOML"),
         Some(b'{' | b'[') if !starts_with_section(text) => json_kind(text, name),
-        Some(b'<') => ProbedKind::Foreign("XML"),
+        Some(b'<') => ProbedKind::UnknownText,
         _ if text.starts_with(b"solid") && name.ends_with(".stl") => {
             ProbedKind::Foreign("STL text: save it as binary STL")
         }
@@ -237,12 +230,6 @@ fn vtk_kind(text: &[u8], name: &str) -> Option<Format> {
 fn first_member(head: &[u8]) -> Option<&[u8]> {
     let length = u16::from_le_bytes(*head.get(26..)?.first_chunk()?);
     head.get(30..)?.get(..length.into())
-}
-
-/// Whether the line below the header of a section is one of TOML: a key, another header or a comment.
-fn continues_as_toml(text: &[u8]) -> bool {
-    let next = Lines::new(text).skip(1).map(<[u8]>::trim_ascii).find(|line| !line.is_empty());
-    next.is_none_or(|next| next.contains(&b'=') || next.starts_with(b"[") || next.starts_with(b"#"))
 }
 
 /// Whether a text starts with the header of a section: a name in single or double brackets, which is not a
@@ -363,144 +350,23 @@ fn contains(text: &[u8], word: &[u8]) -> bool {
 const OBJ_KEYWORDS: &[&[u8]] =
     &[b"v", b"vn", b"vt", b"vp", b"f", b"l", b"p", b"o", b"g", b"s", b"mtllib", b"usemtl"];
 
-/// Whether a text has the layout of a GROMACS file: below the title and the count, the first atom has its
-/// number and its position in fixed columns.
-fn looks_like_gro(text: &[u8]) -> bool {
-    let mut lines = Lines::new(text).skip(1);
-    let Some(count) = lines.next().map(<[u8]>::trim_ascii) else { return false };
-    let atom = lines.next().unwrap_or_default();
-    let residue = atom.get(5..10).unwrap_or_default().trim_ascii_start();
-    !count.is_empty()
-        && count.iter().all(u8::is_ascii_digit)
-        && residue.first().is_some_and(u8::is_ascii_alphabetic)
-        && have_numbers(atom, [0..5, 15..20, 20..28, 28..36, 36..44])
-}
-
-/// Whether a text has an atom in the layout of the Protein Data Bank: its position in fixed columns.
-fn looks_like_pdb(text: &[u8]) -> bool {
-    let is_atom = |line: &[u8]| {
-        (line.starts_with(b"ATOM  ") || line.starts_with(b"HETATM"))
-            && have_numbers(line, [30..38, 38..46, 46..54])
-    };
-    Lines::new(text).any(is_atom) || text.starts_with(b"HEADER    ")
-}
-
-/// Whether a text has an atom of the format PQR: like the Protein Data Bank, with a charge and a radius after the
-/// position, separated by blanks.
-fn looks_like_pqr(text: &[u8]) -> bool {
-    let is_number = |word: &&[u8]| parse_number::<f64>(word).is_some();
-    let is_atom = |line: &[u8]| {
-        let words: Vec<&[u8]> = words(line).collect();
-        let is_named = matches!(words.first(), Some(&(b"ATOM" | b"HETATM")));
-        is_named && matches!(words.len(), 10 | 11) && words.iter().rev().take(5).all(is_number)
-    };
-    Lines::new(text).any(is_atom)
-}
-
-/// Whether a text has the layout of a POSCAR of VASP: a comment, a scale, three edges of the cell, elements, their counts,
-/// and the kind of the coordinates.
-fn looks_like_poscar(text: &[u8]) -> bool {
-    let mut lines = Lines::new(text).skip(1);
-    let mut numbers = || {
-        let words: Option<Vec<f64>> = words(lines.next()?).map(|word| Some(parse_number(word)?.0)).collect();
-        words.map(|words| words.len())
-    };
-    let has_cell = numbers() == Some(1) && (0..3).all(|_| numbers() == Some(3));
-    let elements = lines.next().unwrap_or_default();
-    let counts = lines.next().unwrap_or_default();
-    let is_word = |word: &[u8]| word.iter().all(u8::is_ascii_alphabetic);
-    let is_count = |word: &[u8]| word.iter().all(u8::is_ascii_digit);
-    let count = words(elements).count();
-    has_cell
-        && count > 0
-        && words(elements).all(is_word)
-        && words(counts).count() == count
-        && words(counts).all(is_count)
-}
-
-fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> {
-    line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty())
-}
-
-/// Whether each of these ranges of columns contains a number.
-fn have_numbers<const N: usize>(line: &[u8], columns: [Range<usize>; N]) -> bool {
-    columns.into_iter().all(|columns| {
-        let cell = line.get(columns).unwrap_or_default().trim_ascii();
-        parse_number::<f64>(cell).is_some_and(|(_, length)| length == cell.len())
-    })
-}
-
-/// Whether a text has the variables of a Tecplot file, after a title if there is one.
-fn looks_like_tecplot(text: &[u8]) -> bool {
-    let starts_with = |line: &[u8], word: &[u8]| {
-        let (start, rest) = line.split_at_checked(word.len()).unwrap_or_default();
-        start.eq_ignore_ascii_case(word) && rest.trim_ascii_start().starts_with(b"=")
-    };
-    let mut lines = content_lines(text);
-    let first = lines.find(|line| !starts_with(line, b"TITLE") && !starts_with(line, b"FILETYPE"));
-    first.is_some_and(|line| starts_with(line, b"VARIABLES"))
-}
-
-/// Signatures of formats that are recognised only for error messages.
+/// Signatures of files that are recognised only for error messages.
 const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
-    (b"CDF\x01", "netCDF"),
-    (b"CDF\x02", "netCDF"),
-    (b"NanoVDB", "NanoVDB"),
     (b"PGEOMETRY", HOUDINI_TEXT),
-    (b"\xc0PRT2\r\n\x1a", PRT2),
-    (b"\xda\xba\xfa\0", REALFLOW),
-    (b"\x9e\x02\0\0\x01\0\0\0\0\0\x80\x3f", MAYA),
-    (b"PDC \0", MAYA),
-    (b"pptc\0\0\0\0", PTC),
-    (b"pptc\x01\0\0\0", PTC),
-    (b"pptc\x02\0\0\0", PTC),
-    (b"##RenderMan RIB", RIB),
-    (b"version 3.04\n", RIB),
-    (b"ADIOS-BP v", ADIOS),
-    // Before the check for text, because a binary list follows the header.
-    (b"FoamFile\n", OPENFOAM),
-    (b"/*--------------------------------*- C++ -*---", OPENFOAM),
-    (b"#FileJBD ", BI4),
-    (b"#File BINX-", BI4),
-    (b"#!TDV", TECPLOT),
-    (b"ASTM-E57", E57),
-    (b"LASF", LAS),
-    (b"MATLAB 5.0 MAT-file", "MATLAB"),
-    (b"\xdf\x65\xdf\x65\xdf\x65\xdf\x65", GSD),
-    (b"T\0\0\0CORD", DCD),
-    (b"\0\0\0TCORD", DCD),
-    (b"PAR1", "Parquet"),
     (b"7z\xbc\xaf\x27\x1c", SEVEN_ZIP),
     (b"\xfd7zXZ\0", XZ),
     (b"BZh", BZIP2),
     (b"Rar!\x1a\x07", RAR),
-    (b"\x80\x04\x95", PICKLE),
-    (b"\x80\x05\x95", PICKLE),
     (b"version https://git-lfs.github.com/spec/", GIT_LFS),
 ];
 
-type TextTest = fn(&[u8]) -> bool;
-
-/// Texts that are recognised only for error messages.
-const FOREIGN_TEXTS: &[(&str, TextTest)] = &[
-    (LAMMPS_DATA, looks_like_lammps_data),
-    (GRO, looks_like_gro),
-    (PDB, looks_like_pdb),
-    (PQR, looks_like_pqr),
-    (POSCAR, looks_like_poscar),
-    (TECPLOT, looks_like_tecplot),
-    (OPENFOAM, |text| {
-        text.starts_with(b"FoamFile") || text.starts_with(b"/*") && contains(text, b"\nFoamFile")
-    }),
-];
-
-/// What to do with the files of some of these formats.
+/// What to do with these files.
 pub(crate) const REMEDIES: &[(&str, &str)] = &[
+    (HOUDINI_TEXT, TEXT_REFUSAL),
     (
         LAMMPS_DATA,
         "this is a `write_data` file, and only dumps are supported: write one with `write_dump all custom FILE id type x y z`",
     ),
-    (HOUDINI_TEXT, TEXT_REFUSAL),
     (ZIP, ARCHIVE),
     (TAR, ARCHIVE),
     (SEVEN_ZIP, ARCHIVE),
@@ -511,54 +377,9 @@ pub(crate) const REMEDIES: &[(&str, &str)] = &[
         "this compression is not supported: unpack the file with bzip2 -d, or compress it with gzip or zstd",
     ),
     (GIT_LFS, "this is only the reference to a file in Git LFS: get the file itself with `git lfs pull`"),
-    (E57, SCAN),
-    (LAS, SCAN),
-    (
-        BI4,
-        "data in this format are not supported: convert them with DualSPHysics's PartVTK, to VTK or with -savecsv, or \
-         simulate with -sv:vtk",
-    ),
-    (PRT2, "this is PRT 2, and only 1.0 and 1.1 are supported: save it as PRT 1.1"),
-    (REALFLOW, PARTIO),
-    (MAYA, PARTIO),
-    (PTC, PARTIO),
-    (RIB, "a scene for RenderMan: give the particles that it was made from, for example as BGEO"),
-    (
-        ADIOS,
-        "data in this format are not supported: write them with ADIOS2's engine HDF5, or save the particles as VTK with \
-         ParaView",
-    ),
-    (
-        PICKLE,
-        "Python objects are not supported: save the positions with numpy.save, or all arrays with numpy.savez",
-    ),
-    (GRO, MOLECULES),
-    (PDB, MOLECULES),
-    (PQR, MOLECULES),
-    (POSCAR, MOLECULES),
-    (GSD, MOLECULES),
-    (DCD, MOLECULES),
-    (
-        TECPLOT,
-        "tables in this format are not supported: save them as CSV with a header such as x,y,z, or as VTK",
-    ),
-    (
-        OPENFOAM,
-        "files in this format are not supported: convert the cloud with foamToVTK, and give the .vtk or .vtp files",
-    ),
-    (
-        BOBJ,
-        "this is the mesh of a surface, not particles: give the particles, or the mesh to a program that renders it",
-    ),
 ];
 
 const ARCHIVE: &str = "archives are not supported: unpack it, and give the files in it or their folder";
-const SCAN: &str =
-    "point clouds in this format are not supported: save them as PLY, for example with CloudCompare";
-const MOLECULES: &str =
-    "files of molecules in this format are not supported: save them as XYZ, for example with OVITO";
-const PARTIO: &str =
-    "particles in this format are not supported: convert them to BGEO with Partio's partconvert";
 
 /// The output of LAMMPS's `write_data` command.
 const LAMMPS_DATA: &str = "LAMMPS data";
@@ -572,26 +393,6 @@ const TAR_OFFSET: usize = 257;
 const SEVEN_ZIP: &str = "7z archive";
 const RAR: &str = "RAR archive";
 const GIT_LFS: &str = "Git LFS pointer";
-const BI4: &str = "DualSPHysics .bi4";
-const PRT2: &str = "Krakatoa PRT 2";
-const REALFLOW: &str = "RealFlow BIN";
-const MAYA: &str = "Maya particles (.pdb, .pdc or nCache)";
-const PTC: &str = "RenderMan point cloud (.ptc)";
-const RIB: &str = "RenderMan RIB";
-const E57: &str = "E57";
-const LAS: &str = "LAS";
-const ADIOS: &str = "ADIOS2";
-const PICKLE: &str = "Python pickle";
-const GRO: &str = "GROMACS .gro";
-const PDB: &str = "Protein Data Bank .pdb";
-const PQR: &str = "PQR";
-const POSCAR: &str = "POSCAR of VASP";
-const GSD: &str = "GSD of HOOMD-blue";
-const DCD: &str = "DCD";
-const TECPLOT: &str = "Tecplot";
-const OPENFOAM: &str = "OpenFOAM";
-/// A mesh of Mantaflow, Blender's fluid simulation.
-const BOBJ: &str = "Mantaflow .bobj";
 
 #[cfg(test)]
 mod tests {
@@ -631,7 +432,7 @@ mod tests {
                 "a.vtk.series",
                 ProbedKind::Format(Format::VtkIndex),
             ),
-            (b"<html>", "a.vtp", ProbedKind::Foreign("XML")),
+            (b"<html>", "a.vtp", ProbedKind::UnknownText),
             (b"{\"asset\":{\"version\":\"2.0\"}}", "a", ProbedKind::Format(Format::Gltf)),
             (b"{\"scene\":0,\n\"asset\":{}, 1 2 3\n", "a", ProbedKind::Format(Format::Gltf)),
             (b"{\"x\":1}", "a.json", ProbedKind::Format(Format::Json)),
@@ -639,19 +440,6 @@ mod tests {
             (b"[", "a", ProbedKind::Format(Format::Json)),
             (b"\xef\xbb\xbf {\"positions\": []}", "a", ProbedKind::Format(Format::Json)),
             (b"\xc0PRT\r\n\x1a\n\x38", "a", ProbedKind::Format(Format::Prt)),
-            (b"\xc0PRT2\r\n\x1a\x03", "a.prt", ProbedKind::Foreign(PRT2)),
-            (b"\xda\xba\xfa\0Circle", "a.bin", ProbedKind::Foreign(REALFLOW)),
-            (b"\x9e\x02\0\0\x01\0\0\0\0\0\x80\x3f\0", "a.pdb", ProbedKind::Foreign(MAYA)),
-            (b"PDC \0\0\0\x01\0\0\0\x01", "a.pdc", ProbedKind::Foreign(MAYA)),
-            (b"FOR4\0\0\0(CACHVRSN", "a.mc", ProbedKind::Foreign(MAYA)),
-            (b"FOR8\0\0\0\0\0\0\0\0\0\0\0\x28CACHVRSN", "a.mcx", ProbedKind::Foreign(MAYA)),
-            (b"FOR4\0\0\0(Maya", "a.mb", ProbedKind::Unknown),
-            (b"pptc\x01\0\0\0\0", "a.ptc", ProbedKind::Foreign(PTC)),
-            (b"##RenderMan RIB-Structure 1.0\n", "a.rib", ProbedKind::Foreign(RIB)),
-            (b"ADIOS-BP v2.10.1 Index Table\0", "md.idx", ProbedKind::Foreign(ADIOS)),
-            (b"LASF\0\0", "a.las", ProbedKind::Foreign(LAS)),
-            (b"ASTM-E57\x01", "a.e57", ProbedKind::Foreign(E57)),
-            (b"\x80\x05\x95\0", "a.pkl", ProbedKind::Foreign(PICKLE)),
             (
                 b"# made by hand\no cube\nv 1 2 3\nvn 0 0 1\nf 1//1 2//1 3//1\n",
                 "a.txt",
@@ -703,44 +491,13 @@ mod tests {
                 "a.csv",
                 ProbedKind::Format(Format::Delimited),
             ),
-            (b"[watch]\n\ninput = 1\n", "a.toml", ProbedKind::Foreign("TOML")),
+            (b"[watch]\n\ninput = 1\n", "a.toml", ProbedKind::UnknownText),
             (
                 b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n",
                 "a.ply",
                 ProbedKind::Foreign(GIT_LFS),
             ),
             (b"VERSION .7\nFIELDS x y z\n", "a.pcd", ProbedKind::Format(Format::Pcd)),
-            (b"#FileJBD BI4Part \n\0\x01", "Part_0001.bi4", ProbedKind::Foreign(BI4)),
-            (b"\x10\0\0\0\0\0\x80\x3f", "fluid_mesh_0001.bobj", ProbedKind::Foreign(BOBJ)),
-            (
-                b"water\n  1\n    1SOL     OW    1   0.000   0.005  -0.004\n   6.0 5.0 4.0\n",
-                "a.gro",
-                ProbedKind::Foreign(GRO),
-            ),
-            (
-                b"ATOM      1  OW  SOL A   1       0.001   0.045  -0.036  1.00  0.00           O\n",
-                "a.pdb",
-                ProbedKind::Foreign(PDB),
-            ),
-            (
-                b"ATOM      1  N   ALA     1      10.1  20.2  30.3 -0.30 1.85\n",
-                "a.pqr",
-                ProbedKind::Foreign(PQR),
-            ),
-            (
-                b"water\n1.0\n6 0 0\n0 5 0\n0 0 4\nO H\n1 2\nCartesian\n0 0 0\n",
-                "poscar",
-                ProbedKind::Foreign(POSCAR),
-            ),
-            (b"T\0\0\0CORD\x01", "a.dcd", ProbedKind::Foreign(DCD)),
-            (b"\xdf\x65\xdf\x65\xdf\x65\xdf\x65\0", "a.gsd", ProbedKind::Foreign(GSD)),
-            (
-                b"title = \"t\"\nVARIABLES=\"X\",\"Y\",\"Z\"\nZONE\n1 2 3\n",
-                "a.dat",
-                ProbedKind::Foreign(TECPLOT),
-            ),
-            (b"FoamFile\n{ class Cloud; }\n1\n(\n(1 2 3) 0\n)\n", "positions", ProbedKind::Foreign(OPENFOAM)),
-            (b"FoamFile\n{ format binary; }\n1\n(\0\x01)", "positions", ProbedKind::Foreign(OPENFOAM)),
             (b"<?xml version=\"1.0\" ?>\n<Xdmf Version=\"3.0\">", "a", ProbedKind::Format(Format::Xdmf)),
             (b"\x89HDF\r\n\x1a\n\0", "a", ProbedKind::Format(Format::Hdf5)),
             (abc::HDF5, "a.abc", ProbedKind::Format(Format::Abc)),

@@ -155,3 +155,38 @@ fn comments_above_numbers_are_no_headers() {
         assert_eq!(named.expect("named columns").positions.len(), 4, "{comment}");
     }
 }
+
+/// The rows of these files have numbers.
+#[test]
+fn texts_of_other_programs_are_no_particles() {
+    let rows = |row: fn(f64) -> String| (1..=20).map(|index| row(f64::from(index))).collect::<String>();
+    let plain = rows(|x| format!("{x} 0.5 0.25\n"));
+    for (name, text) in [
+        (
+            "water.gro",
+            format!(
+                "water\n   20\n{}   6 5 4\n",
+                rows(|x| format!("{x:>5}SOL     OW{x:>5}{x:8.3}   0.500\n"))
+            ),
+        ),
+        (
+            "water.pdb",
+            rows(|x| format!("ATOM  {x:>5}  OW  SOL A{x:>4}    {x:8.3}   0.500   0.250  1.00  0.00\n")),
+        ),
+        ("water.pqr", rows(|x| format!("ATOM  {x:>5}  N   ALA  {x:>4}  {x:8.3}  0.500  0.250 -0.30 1.85\n"))),
+        ("POSCAR", format!("water\n1.0\n6 0 0\n0 5 0\n0 0 4\nO\n20\nCartesian\n{plain}")),
+        ("tecplot.dat", format!("TITLE = \"t\"\nVARIABLES=\"X\",\"Y\",\"Z\"\nZONE I=20, F=POINT\n{plain}")),
+        (
+            "positions",
+            format!(
+                "FoamFile\n{{\n    class Cloud;\n}}\n20\n(\n{})\n",
+                rows(|x| format!("({x} 0.5 0.25) 1\n"))
+            ),
+        ),
+        ("points.toml", format!("[cloud]\npoints = [\n{}]\n", rows(|x| format!("{x}, 0.5, 0.25,\n")))),
+        ("points.xml", format!("<points>\n{plain}</points>\n")),
+    ] {
+        let found = read_particles(text.as_bytes(), name, &Limits::default());
+        assert!(found.is_err(), "{name}: {found:?}");
+    }
+}

@@ -196,7 +196,7 @@ fn files_that_are_neither_particles_nor_surfaces_are_named() {
     for (file, words) in [
         ("notes.md", "text in an unknown format: not a supported particle format"),
         ("picture.png", "PNG image: this is a picture, not particles"),
-        ("daemon.toml", "TOML: not a supported particle format"),
+        ("daemon.toml", "text in an unknown format: not a supported particle format"),
         ("data.json", "JSON, at byte 1: expected lists of three numbers"),
     ] {
         let result = meniscus(path, &["info", file]);
