@@ -244,11 +244,7 @@ fn exposition(store: &StatusStore) -> String {
             "1 while the daemon is paused: an output disk is full or refuses writes.",
             Some(u64::from(status.paused.is_some())),
         ),
-        (
-            "meniscus_unavailable_folders",
-            "Watched folders that are unavailable.",
-            Some(unavailable_count),
-        ),
+        ("meniscus_unavailable_folders", "Watched folders that are unavailable.", Some(unavailable_count)),
         (
             "meniscus_disk_free_bytes",
             "The least free space of all file systems of outputs.",

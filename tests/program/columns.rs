@@ -94,15 +94,14 @@ fn errors_propose_the_option_and_say_what_is_missing() {
         &["convert", "block.json", "--out", "out", "--columns", "x=y,y=x,z=z"],
         &["--columns renames columns of tables"],
     );
-    // A folder of files that are recognised, and not read: the message names one.
+    // A folder of files that are not read: the message names one.
     fs::create_dir(folder.join("molecules")).expect("made");
     fs::write(folder.join("molecules/a.0001.xtc"), [0, 0, 7, 203, 0, 0, 0, 9, 0, 0, 0, 1]).expect("written");
-    fs::write(
-        folder.join("molecules/b.pdb"),
-        "HEADER    WATER\nATOM      1  OW  SOL     1       0.1   0.2   0.3\n",
-    )
-    .expect("written");
-    assert_refused(folder, &["convert", "molecules", "--out", "out"], &["no frames of particles", "b.pdb: "]);
+    assert_refused(
+        folder,
+        &["convert", "molecules", "--out", "out"],
+        &["no frames of particles", "a.0001.xtc: "],
+    );
 }
 
 #[test]

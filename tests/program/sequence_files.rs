@@ -417,7 +417,7 @@ fn damaged_frame_is_left_out_with_a_warning() {
         result.out,
         result.err
     );
-    refused(path, &["sequence", "s.abc", "-o", "t.abc"], &["s.abc: "]);
+    refused(path, &["sequence", "s.abc", "-o", "t.abc"], &["s.abc: ", "a sequence of 2 frames"]);
 }
 
 #[test]

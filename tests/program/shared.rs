@@ -128,4 +128,4 @@ const REFUSED: &[(&str, &str)] = &[
 ];
 
 /// Number of files that match the list above.
-const REFUSED_COUNT: usize = 6;
+const REFUSED_COUNT: usize = 4;
