@@ -14,7 +14,7 @@ import numpy as np
 from mathutils import Vector
 
 sys.dont_write_bytecode = True
-sys.path.insert(0, "python/blender")
+sys.path.insert(0, "blender")
 import meniscus
 import pymeniscus
 

@@ -6,7 +6,7 @@ const MANIFESTS: [(&str, &str); 4] = [
     ("Cargo.toml", include_str!("../../Cargo.toml")),
     ("formats", include_str!("../../formats/Cargo.toml")),
     ("surface", include_str!("../../surface/Cargo.toml")),
-    ("render", include_str!("../../surface/render/Cargo.toml")),
+    ("render", include_str!("../../render/Cargo.toml")),
 ];
 
 /// Crates that call a C compiler, or look for a C library.

@@ -11,7 +11,7 @@ const PIECE_MIN: usize = 4;
 #[test]
 fn every_quoted_message_exists_in_the_source() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let program = ["src", "formats/src", "surface/src", "surface/render/src"]
+    let program = ["src", "formats/src", "surface/src", "render/src"]
         .map(|folder| messages_below(&root.join(folder)))
         .concat();
     let quoted = quoted(PAGE);

@@ -1,4 +1,4 @@
-"""Checks the Blender extension in python/blender, which Blender's own code builds, installs, updates and removes.
+"""Checks the Blender extension in blender, which Blender's own code builds, installs, updates and removes.
 
     lifecycle     Blender validates and installs the extension, updates, disables and removes it; nothing stays
     live          a point cloud of Geometry Nodes with a radius for each point: the mesh, its velocities and colours,
@@ -85,7 +85,7 @@ def blender_ext(*words):
 
 def built(wheel, out):
     ran = subprocess.run(
-        [sys.executable, ROOT / "python" / "blender" / "build.py", "--out", out, wheel],
+        [sys.executable, ROOT / "blender" / "build.py", "--out", out, wheel],
         capture_output=True, text=True, check=True, timeout=120,
     )
     return Path(ran.stdout.strip())
@@ -112,12 +112,12 @@ def installed(wheel):
 def removed(wheel):
     """Updates, disables and removes the extension. Then Blender has no trace of it."""
     source = FOLDER / "newer"
-    shutil.copytree(ROOT / "python" / "blender", source / "python" / "blender", dirs_exist_ok=True)
+    shutil.copytree(ROOT / "blender", source / "blender", dirs_exist_ok=True)
     shutil.copy(ROOT / "LICENSE-MIT", source)
-    manifest = source / "python" / "blender" / "meniscus" / "blender_manifest.toml"
+    manifest = source / "blender" / "meniscus" / "blender_manifest.toml"
     manifest.write_text(manifest.read_text().replace('version = "0.1.0"', 'version = "0.1.1"', 1))
     ran = subprocess.run(
-        [sys.executable, source / "python" / "blender" / "build.py", "--out", FOLDER, wheel],
+        [sys.executable, source / "blender" / "build.py", "--out", FOLDER, wheel],
         capture_output=True, text=True, check=True,
     )
     bpy.ops.extensions.package_install_files(

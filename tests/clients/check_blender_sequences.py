@@ -88,7 +88,7 @@ def prepare():
     """Unpacks the wheel, registers the modules, and converts the frames, of which number 4 is missing."""
     with zipfile.ZipFile(sys.argv[1]) as wheel:
         wheel.extractall(SITE)
-    sys.path[:0] = [str(SITE), str(ROOT / "python" / "blender")]
+    sys.path[:0] = [str(SITE), str(ROOT / "blender")]
     global conversion, sequence, pymeniscus
     import pymeniscus
     from meniscus import conversion, sequence
@@ -477,7 +477,7 @@ def killed():
     faults, took = [], []
     for how in ("kill", "exit"):
         out = FOLDER / f"killed-{how}"
-        words = map(str, [ROOT / "python" / "blender", SITE, FOLDER / "in", out, how])
+        words = map(str, [ROOT / "blender", SITE, FOLDER / "in", out, how])
         command = [sys.executable, "-c", textwrap.dedent(STARTS), *words]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         pid = int(next(line for line in process.stdout if line.startswith("pid ")).split()[1])

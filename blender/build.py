@@ -1,6 +1,6 @@
 """Makes the Blender extension: `meniscus-<version>.zip`, which Blender installs from disk.
 
-    python/blender/build.py [--out FOLDER] WHEEL...
+    blender/build.py [--out FOLDER] WHEEL...
 
 A folder means all wheels in it. Each wheel is that of pymeniscus for one platform; the extension then works on these
 platforms. Blender contains numpy, which is the only other package that pymeniscus needs.
@@ -69,7 +69,7 @@ def build(wheels: list[Path], out: Path) -> Path:
     members = {"blender_manifest.toml": manifest.encode()}
     for path in sorted(SOURCE.rglob("*.py")):
         members[path.relative_to(SOURCE).as_posix()] = path.read_bytes()
-    members["LICENSE"] = (SOURCE.parents[2] / "LICENSE-MIT").read_bytes()
+    members["LICENSE"] = (SOURCE.parents[1] / "LICENSE-MIT").read_bytes()
     for wheel in wheels:
         members[f"wheels/{wheel.name}"] = wheel.read_bytes()
     out.mkdir(parents=True, exist_ok=True)
