@@ -273,7 +273,7 @@ const GIB: f64 = (1_u64 << 30) as f64;
 /// Seconds of computing per GiB of [`work_gib`] on one thread with the default integrator: a third more than
 /// for the large frames of docs/performance.md. Once the run has finished a frame, measured values replace
 /// this one.
-const S_PER_GIB: f64 = 45.0;
+const S_PER_GIB: f64 = 25.0;
 
 /// How many times longer a frame takes in tiles: some parts are computed twice, and data goes through files.
 const TILED: f64 = 3.0;

@@ -19,8 +19,12 @@ use crate::pipeline::warning::{SurfaceWarning, Warning};
 
 /// A warning about a surface that is empty, fragmented, full of holes, or a single blob.
 pub(crate) fn diagnose(mesh: &Mesh, report: &ReconstructionReport, settings: &Settings) -> Option<Warning> {
-    let warning = why_empty(report, settings).or_else(|| misfit(mesh, report, settings.voxel_size));
-    warning.map(Warning::Surface)
+    // Own radii say how large the particles are, apart or not.
+    let misfit = || match settings.per_particle_radius {
+        Some(_) => None,
+        None => misfit(mesh, report, settings.voxel_size),
+    };
+    why_empty(report, settings).or_else(misfit).map(Warning::Surface)
 }
 
 /// Why the surface of a frame with particles is empty.

@@ -253,6 +253,15 @@ fn voxel_size_is_small_enough_for_radii_from_a_column() {
     assert!(result.status == 0 && result.err.contains("\"voxel_size\":0.032"), "{}", result.err);
 }
 
+#[test]
+fn separate_balls_of_own_radii_are_no_misfit() {
+    let folder = tempdir().expect("a folder");
+    let rows: String = (0..27).map(|i| format!("{},{},{},0.1\n", i % 3, i / 3 % 3, i / 9)).collect();
+    fs::write(folder.path().join("f.csv"), format!("x,y,z,radius\n{rows}")).expect("written");
+    let result = meniscus(folder.path(), &["convert", "f.csv", "--out", "o", "--radius-attribute", "radius"]);
+    assert!(result.status == 0 && !result.err.contains("pieces"), "{}", result.err);
+}
+
 /// If only some particles have a radius, the others get the smallest radius, with a warning. If no particle
 /// has a radius, the command fails.
 #[test]
