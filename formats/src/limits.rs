@@ -16,7 +16,7 @@ pub struct Limits {
     pub attribute_count: usize,
     /// Maximum number of frames in one file.
     pub step_count: usize,
-    /// Maximum size after decompression, in bytes.
+    /// Maximum memory for what is read from one file, decompressed, in bytes.
     pub decompressed_bytes: u64,
     /// Maximum number of decompressed bytes per compressed byte, ignoring the first 16 MiB.
     pub decompression_ratio: u64,
@@ -44,6 +44,11 @@ impl Default for Limits {
 pub(crate) const RATIO_FREE_BYTES: u64 = 16 << 20;
 
 impl Limits {
+    /// The default limits, with this much memory for one file, in bytes.
+    pub fn within(memory_bytes: u64) -> Limits {
+        Limits { decompressed_bytes: memory_bytes, level_set_bytes: memory_bytes, ..Limits::default() }
+    }
+
     /// Fails if there are more particles or vertices than the limit.
     pub(crate) fn check_particles(&self, format: &'static str, found: u64) -> Result<()> {
         if found <= self.particle_count {
@@ -106,11 +111,11 @@ impl Limits {
         consumed: u64,
     ) -> Result<()> {
         if decompressed > self.decompressed_bytes {
-            let most = self.decompressed_bytes;
-            return Err(Error::too_large(
-                format,
-                format!("the decompressed data exceeds the limit of {most} bytes"),
-            ));
+            let (needed, most) = (decompressed.div_ceil(1 << 20), self.decompressed_bytes >> 20);
+            let what = format!(
+                "reading the file takes {needed} MiB of memory or more, and the limit is {most} MiB: use a larger --memory"
+            );
+            return Err(Error::too_large(format, what));
         }
         if decompressed > self.decompressed_bytes_of(consumed) {
             let most = self.decompression_ratio;

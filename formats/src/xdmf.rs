@@ -434,7 +434,7 @@ impl ItemReader<'_, '_> {
             .ok_or_else(|| malformed(item.at, "the item has an unknown NumberType or Precision"))?;
         match &*item.format {
             "xml" => {
-                self.spend(count, "")?;
+                self.spend(count)?;
                 parsed(item, number, count)
             }
             "hdf" => {
@@ -443,13 +443,13 @@ impl ItemReader<'_, '_> {
                     .split_once(":/")
                     .ok_or_else(|| malformed(item.at, "expected FILE:/DATA_SET"))?;
                 let file = self.open(path)?;
-                self.spend(count, path)?;
+                self.spend(count)?;
                 let values = hdf5::read_values(&*file, name, count, self.limits);
                 values.map_err(|error| error.with_format(FORMAT).in_file(path))
             }
             "binary" => {
                 let file = self.open(item.text)?;
-                self.spend(count, item.text)?;
+                self.spend(count)?;
                 let size =
                     count.checked_mul(number.size() as u64).and_then(|size| size.checked_add(item.seek));
                 let available = file.size_bytes()?;
@@ -472,14 +472,9 @@ impl ItemReader<'_, '_> {
     }
 
     /// Counts values that become 64-bit numbers at most.
-    fn spend(&mut self, count: u64, path: &str) -> Result<()> {
+    fn spend(&mut self, count: u64) -> Result<()> {
         self.spent = self.spent.saturating_add(count.saturating_mul(8));
-        if self.spent <= self.limits.decompressed_bytes_of(self.bytes) {
-            return Ok(());
-        }
-        let what =
-            format!("the items expand to more bytes than the limit for files of this size {}", excerpt(path));
-        Err(Error::too_large(FORMAT, what))
+        self.limits.check_decompressed(FORMAT, self.spent, self.bytes)
     }
 }
 

@@ -32,7 +32,6 @@ use super::inputs::{
     InputSelection, SelectedSequence, check_output_path, is_pattern, refuse_level_sets, select_frames,
     selected_files,
 };
-use super::machine::thread_pool;
 use super::sequence::SequenceOutputs;
 use super::settings::{
     measure_if_needed, obstacle_files, outputs_of, print_settings, print_settings_of_any, report_settings,
@@ -73,6 +72,8 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
     if args.shard.is_some() {
         check_mounted(inputs)?;
     }
+    // Files that are looked at from here on keep to the memory limit, too.
+    let batch = Batch::new(args, start)?;
     let mut selection = select_frames(inputs, args.frames.as_ref(), &args.method, console)?;
     if console.failed_count() > 0 && args.on_error == Some(OnError::Stop) {
         bail!("nothing is converted, because of --on-error stop: make the paths above readable");
@@ -96,8 +97,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
     if args.print_settings {
         // As above, this refuses the sequence files that a conversion would refuse.
         SequenceOutputs::new(args, &outputs, selection.sequences.len(), fps)?;
-        let pool = thread_pool(args.run.threads)?;
-        print_settings(&selection.sequences, job, &args.method, &outputs, &pool, console)?;
+        print_settings(&selection.sequences, job, &args.method, &outputs, &batch.pool, console)?;
         return Ok(CommandOutcome::Done);
     }
     if let Some(shard) = shard_of(args, &destination, &outputs)? {
@@ -117,7 +117,6 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Comma
         records: records.map(Arc::new),
     };
     plan.refuse_conflicts(args.report.as_deref())?;
-    let batch = Batch::new(args, start)?;
     let outcome = plan.run(batch, out_folder, console)?;
     destination.copy_to_stdout(outcome)
 }

@@ -8,7 +8,7 @@ use std::thread::available_parallelism;
 use anyhow::{Context, Result, bail};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use crate::pipeline::default_memory_bytes;
+use crate::pipeline::{default_memory_bytes, limit_reading};
 
 use super::stop_requests::on_stop_requests;
 
@@ -29,20 +29,20 @@ pub(super) fn thread_pool(given: Option<u16>) -> Result<ThreadPool> {
     pool.thread_name(|index| format!("compute {index}")).build().context("cannot start the threads")
 }
 
-/// The memory limit for frames in bytes: as given, or half of the machine's memory.
+/// The memory limit for frames in bytes: as given, or half of the machine's memory. No file that is read from now on may
+/// take more.
 ///
 /// # Errors
 /// If it is too small for any frame.
 pub(super) fn memory_bytes(given: Option<u64>) -> Result<u64> {
-    match given {
-        Some(bytes) if bytes < MEMORY_MIN_BYTES => {
-            bail!(
-                "a memory limit of {bytes} bytes is too small for any frame: give at least 1MiB, for example 8GiB"
-            )
-        }
-        Some(bytes) => Ok(bytes),
-        None => Ok(default_memory_bytes()),
+    let bytes = given.unwrap_or_else(default_memory_bytes);
+    if bytes < MEMORY_MIN_BYTES {
+        bail!(
+            "a memory limit of {bytes} bytes is too small for any frame: give at least 1MiB, for example 8GiB"
+        );
     }
+    limit_reading(bytes);
+    Ok(bytes)
 }
 
 // Removes temporary files on a request to stop, such as Ctrl-C, so that no partial output remains.

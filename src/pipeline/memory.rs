@@ -1,6 +1,25 @@
 //! Measures the memory of this process, and its limits.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use meniscus_formats::Limits;
+
+/// The memory for one file that is read, in bytes; 0 for the default. A process runs one command.
+static READING_BYTES: AtomicU64 = AtomicU64::new(0);
+
+/// Limits the memory for each file that this process reads from now on.
+pub fn limit_reading(bytes: u64) {
+    READING_BYTES.store(bytes, Ordering::Relaxed);
+}
+
+/// The limits of readers.
+pub(crate) fn reading_limits() -> Limits {
+    match READING_BYTES.load(Ordering::Relaxed) {
+        0 => Limits::within(default_memory_bytes()),
+        bytes => Limits::within(bytes),
+    }
+}
 
 /// The peak resident set size of this process, in bytes; `None` if the system does not report it.
 pub(super) fn peak_memory_bytes() -> Option<u64> {

@@ -13,11 +13,11 @@ use crate::surface::reconstruction::{
     Targets, TileStorage, TooLarge,
 };
 use crate::surface::report::ShapeStats;
+use meniscus_formats::Limits;
 
 use crate::pipeline::error::{Cause, ObstacleError};
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::input::frame_input::{FrameInput, LevelSetInput};
-use crate::pipeline::input::level_set_file::level_set_limits;
 use crate::pipeline::input::obstacles::FrameObstacles;
 use crate::pipeline::output::writing::attribute_half_width_voxels;
 use crate::pipeline::target::outputs::OutputOptions;
@@ -45,7 +45,7 @@ pub(crate) fn plan(
         let level_set_bytes = reconstruction::smooth_level_set_bytes(band, *max_deviation_voxels, settings);
         let in_core_bytes = level_set_bytes.saturating_add(picture_bytes);
         let with_picture = if picture_bytes > 0 { " with its picture" } else { "" };
-        let limits = level_set_limits(allowed_bytes);
+        let limits = Limits::within(allowed_bytes);
         limits.check_level_set(in_core_bytes, with_picture).map_err(Cause::File)?;
         let memory_bytes = in_core_bytes.saturating_sub(particles.size_bytes());
         return Ok(MemoryPlan { memory_bytes, tile_leaves: None, in_core_bytes });

@@ -114,7 +114,8 @@ pub use input::steps::{
     is_missing_step, may_hold_several, size_bytes, step_of, time_of_frame,
 };
 pub(crate) use input::steps::{named_by_unreadable, step_in};
-pub use memory::{default_memory_bytes, resident_memory_bytes};
+pub(crate) use memory::reading_limits;
+pub use memory::{default_memory_bytes, limit_reading, resident_memory_bytes};
 pub use method::ScratchFile;
 pub use observer::Observer;
 pub use output::spray_files::points_of as spray_points;

@@ -257,3 +257,24 @@ fn named_files_are_in_the_folder_of_the_file_that_names_them() {
         assert!(result.err.contains(why), "{name}: {}", result.err);
     }
 }
+
+#[test]
+fn reading_keeps_to_the_memory_limit() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let points: String = (0..27).map(|i| format!("({}, {}, {}),", i % 3, i / 3 % 3, i / 9)).collect();
+    let prims: String = (0..8000).map(|i| format!("def \"p{i}\" {{}}\n")).collect();
+    let layer = format!("#usda 1.0\n{prims}def Points \"water\" {{ point3f[] points = [{points}] }}\n");
+    fs::write(path.join("scene.usda"), layer).expect("written");
+    let convert = |memory: &str| {
+        meniscus(path, &["convert", "scene.usda", "--out", "out", "--format", "obj", "--memory", memory])
+    };
+    let refused = convert("4MiB");
+    assert_ne!(refused.status, 0, "{}", refused.out);
+    assert!(
+        refused.err.contains("reading the file takes 5 MiB of memory or more, and the limit is 4 MiB"),
+        "{}",
+        refused.err
+    );
+    assert_eq!(convert("64MiB").status, 0);
+}

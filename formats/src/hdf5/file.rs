@@ -193,7 +193,7 @@ pub(super) struct HdfFile<'a> {
     open: &'a OpenFile,
     pub(super) limits: &'a Limits,
     /// Bytes of data that may still be read.
-    budget_bytes: Cell<u64>,
+    spent_bytes: Cell<u64>,
     /// Why a data set with the name of a position was left out, if one was.
     pub(super) lacks_position: Cell<Option<UnreadPosition>>,
     /// If data sets are stacks of all steps: which step is read of how many.
@@ -296,8 +296,13 @@ impl OpenFile {
 
 impl<'a> HdfFile<'a> {
     fn of(open: &'a OpenFile, limits: &'a Limits) -> HdfFile<'a> {
-        let budget_bytes = Cell::new(limits.decompressed_bytes_of(open.byte_count));
-        HdfFile { open, limits, budget_bytes, lacks_position: Cell::new(None), stack: Cell::new(None) }
+        HdfFile {
+            open,
+            limits,
+            spent_bytes: Cell::new(0),
+            lacks_position: Cell::new(None),
+            stack: Cell::new(None),
+        }
     }
 
     /// The root group.
@@ -421,18 +426,15 @@ impl<'a> HdfFile<'a> {
         Ok(fields.into_iter().map(array).collect())
     }
 
-    /// The bytes of data that were read, or less if they are beyond the limit.
+    /// The bytes of data that were read.
     pub(super) fn spent_bytes(&self) -> u64 {
-        self.limits.decompressed_bytes_of(self.open.byte_count) - self.budget_bytes.get()
+        self.spent_bytes.get()
     }
 
     fn spend(&self, bytes: u64) -> Result<()> {
-        let left = self.budget_bytes.get().checked_sub(bytes).ok_or_else(|| {
-            let what =
-                "the data sets of the frame expand to more bytes than the limit for a file of this size";
-            Error::too_large(FORMAT, what)
-        })?;
-        self.budget_bytes.set(left);
+        let spent = self.spent_bytes().saturating_add(bytes);
+        self.limits.check_decompressed(FORMAT, spent, self.open.byte_count)?;
+        self.spent_bytes.set(spent);
         Ok(())
     }
 }

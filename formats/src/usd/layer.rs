@@ -62,7 +62,7 @@ impl Default for NodeFields {
 }
 
 /// What a node takes in memory, about.
-pub(crate) const NODE_BYTES: usize = 256;
+pub(crate) const NODE_BYTES: usize = 1 << 10;
 
 /// The value of a field.
 #[derive(Clone, Debug)]

@@ -23,8 +23,8 @@ use serde::Serialize;
 
 use crate::pipeline::{
     FrameError, USD_STAGE_FRAMES, file_of, frames_in, frames_in_unless, has_container_frames, is_absent,
-    measure_spacing, open_regular, read_file, read_particles_of, read_regular, read_scene_mesh, step_of,
-    time_of_frame,
+    measure_spacing, open_regular, read_file, read_particles_of, read_regular, read_scene_mesh,
+    reading_limits, step_of, time_of_frame,
 };
 
 use crate::surface::options::{ColumnNames, ReadOptions, SpacingOptions};
@@ -205,7 +205,7 @@ impl FileInfo {
         self.packed = codec.map(Codec::adjective);
         self.bytes = bytes.len();
         self.made_by = if codec.is_none() { made_by(kind, bytes) } else { None };
-        let limits = Limits::default();
+        let limits = reading_limits();
         let is_surface = match kind.format() {
             _ if packed.is_some() => false,
             Some(format) if codec.is_none() => self.fill_surface(path, format, bytes, &limits)?,

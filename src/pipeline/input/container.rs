@@ -16,11 +16,10 @@ use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::named_files::{NamedFiles, path_of_named, state_of_files};
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::stamp::FileStamp;
+use crate::pipeline::memory::reading_limits;
 use meniscus_formats::compression::{decompressed, read_head};
 use meniscus_formats::container::{self, ContainerFrames, is_container};
-use meniscus_formats::{
-    Codec, ContainerFile, Limits, MeshData, Probe, ProbedKind, ReadAt, Result, Sample, probe,
-};
+use meniscus_formats::{Codec, ContainerFile, MeshData, Probe, ProbedKind, ReadAt, Result, Sample, probe};
 
 /// Enough bytes to recognize the format.
 const HEAD_BYTES: u64 = 8 << 10;
@@ -92,7 +91,7 @@ impl OpenContainer {
     /// # Errors
     /// When the structure of the file cannot be read, or it is a file without particles.
     pub(super) fn frames(&self) -> Result<(Vec<ContainerFrame>, ContainerFrames)> {
-        let mut found = self.with(|file| container::frames(self.kind, file, &Limits::default()))?;
+        let mut found = self.with(|file| container::frames(self.kind, file, &reading_limits()))?;
         let (samples, files) = (std::mem::take(&mut found.samples), found.files.take());
         let own_bytes = self.own_bytes().saturating_mul(PACKED_FACTOR) / samples.len().max(1) as u64;
         let frame = |(index, sample): (usize, Sample)| {
@@ -130,7 +129,7 @@ impl OpenContainer {
     /// # Errors
     /// When the frame cannot be read.
     pub(super) fn packed(&self, frames: &ContainerFrames, index: usize) -> Result<Option<Vec<u8>>> {
-        let packed = self.with(|file| container::packed(self.kind, file, frames, index, &Limits::default()));
+        let packed = self.with(|file| container::packed(self.kind, file, frames, index, &reading_limits()));
         if !self.is_unchanged()? {
             return Ok(None);
         }
@@ -161,7 +160,7 @@ impl OpenContainer {
     /// # Errors
     /// When the structure cannot be read, or there are no meshes.
     pub(super) fn are_meshes_animated(&self) -> Result<Option<bool>> {
-        self.with(|file| container::are_meshes_animated(self.kind, file, &Limits::default()))
+        self.with(|file| container::are_meshes_animated(self.kind, file, &reading_limits()))
     }
 
     /// The meshes of a scene in the frame with a number; `None` if one of the files was written meanwhile.
@@ -169,7 +168,7 @@ impl OpenContainer {
     /// # Errors
     /// When they cannot be read.
     pub(super) fn meshes(&self, number: Option<i64>) -> Result<Option<MeshData>> {
-        let meshes = self.with(|file| container::scene_mesh(self.kind, file, number, &Limits::default()));
+        let meshes = self.with(|file| container::scene_mesh(self.kind, file, number, &reading_limits()));
         if self.is_unchanged()? { meshes.map(Some) } else { Ok(None) }
     }
 
@@ -213,8 +212,7 @@ fn is_beside(path: &str) -> bool {
 /// The files beside a container that it joins to frames: they are no frames of their own.
 pub fn files_joined_by(path: &Path) -> Vec<PathBuf> {
     let files = OpenContainer::open(path).and_then(|open| {
-        let frames =
-            open.map(|open| open.with(|file| container::frames(open.kind, file, &Limits::default())));
+        let frames = open.map(|open| open.with(|file| container::frames(open.kind, file, &reading_limits())));
         Ok(frames.transpose()?.and_then(|frames| frames.files).unwrap_or_default())
     });
     let beside = files.unwrap_or_default().into_iter().flatten().filter(|path| is_beside(path));
@@ -245,5 +243,5 @@ fn unpacked(file: &InputFile) -> Result<Option<Arc<[u8]>>> {
         return Ok(None);
     }
     let bytes = bytes_of(file, file.stamp().size)?;
-    Ok(Some(decompressed(&bytes, &Limits::default())?.into()))
+    Ok(Some(decompressed(&bytes, &reading_limits())?.into()))
 }

@@ -19,9 +19,10 @@ use crate::surface::reconstruction::smooth_level_set_bytes_max;
 
 use super::filter::{keep_chosen, none_chosen, several_kinds, various_sizes};
 use super::frame::{Frame, Job};
-use super::level_set_file::{LevelSetFile, is_leaf_origin, level_set_limits, voxel_size};
+use super::level_set_file::{LevelSetFile, is_leaf_origin, voxel_size};
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::InputFile;
+use crate::pipeline::memory::reading_limits;
 use crate::pipeline::target::outputs::OutputFormat;
 use crate::pipeline::warning::Warning;
 
@@ -97,7 +98,7 @@ pub(crate) fn read_level_set(
 /// The error of a level set that exceeds the memory limit, with the memory for all stages and not only for
 /// reading it: the user should have to raise the limit only once. `None` for other level sets.
 fn too_large(frame: &Frame, bytes: &[u8], memory_bytes: u64) -> Option<FrameError> {
-    let limits = level_set_limits(memory_bytes);
+    let limits = Limits::within(memory_bytes);
     let outline = vdb::level_set_outline(bytes, None, &limits).ok()?;
     let voxel_size = voxel_size(&outline.transform)?;
     let settings = frame.settings.with_voxel_size(voxel_size).ok()?;
@@ -135,7 +136,7 @@ impl FileParticles {
     pub(crate) fn open(path: &Path, file: InputFile) -> meniscus_formats::Result<Option<FileParticles>> {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let file = Arc::new(file);
-        let batches = ParticleBatches::open(Arc::clone(&file), &name, &Limits::default(), BATCH_BYTES)?;
+        let batches = ParticleBatches::open(Arc::clone(&file), &name, &reading_limits(), BATCH_BYTES)?;
         Ok(batches.map(|batches| FileParticles { file, batches, chosen: None }))
     }
 

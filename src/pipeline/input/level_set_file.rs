@@ -19,6 +19,7 @@ use crate::surface::space::{INDEX_LIMIT, Lattice};
 use super::reading::read_file;
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::open::open_regular;
+use crate::pipeline::memory::reading_limits;
 use crate::pipeline::target::outputs::OutputOptions;
 use crate::pipeline::target::picture::PictureScene;
 use crate::pipeline::warning::{InputWarning, Warning};
@@ -62,7 +63,7 @@ impl LevelSetFile {
         let fail = |error| FrameError::file(path, Stage::Read, error);
         let hash = XxHash3_128::oneshot(bytes);
         refuse_other_format(bytes).map_err(fail)?;
-        let limits = level_set_limits(memory_bytes);
+        let limits = Limits::within(memory_bytes);
         let data = vdb::read_level_set(bytes, None, &limits).map_err(fail)?;
         let transform = data.transform;
         let rebuilding_bytes = memory_bytes.saturating_sub(bytes.len() as u64 + data.memory_bytes());
@@ -116,7 +117,7 @@ impl LevelSetFile {
         let fields = if self.velocity.is_some() { 4 } else { 1 };
         let leaf_count = self.band.topology.len() * fields;
         let needed_bytes = (leaf_count * size_of::<Leaf>()) as u64 + outputs.picture_bytes();
-        level_set_limits(memory_bytes)
+        Limits::within(memory_bytes)
             .check_level_set(needed_bytes, " with its picture")
             .map_err(|error| FrameError::file(path, Stage::Read, error))
     }
@@ -176,18 +177,13 @@ const HEAD_BYTES: u64 = 8 << 10;
 
 /// A warning about a file with several grids, of which only one is read.
 pub(crate) fn other_grids(bytes: &[u8]) -> Option<Warning> {
-    let grids = vdb::grids(bytes, &Limits::default()).unwrap_or_default();
+    let grids = vdb::grids(bytes, &reading_limits()).unwrap_or_default();
     let count = grids.len().saturating_sub(1);
     (count > 0).then_some(Warning::Input(InputWarning::OtherGrids { count }))
 }
 
 /// The usual names of velocity grids.
 const VELOCITY_NAMES: [&str; 3] = ["velocity", "vel", "v"];
-
-/// The reader's limits for this amount of memory.
-pub(crate) fn level_set_limits(memory_bytes: u64) -> Limits {
-    Limits { level_set_bytes: memory_bytes, ..Limits::default() }
-}
 
 /// The level set in the data of a file with this hash, without velocities.
 fn level_set(data: LevelSetData, hash: u128, rebuilt_leaf_count_max: usize) -> Result<LevelSetFile, String> {

@@ -7,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 use glam::DVec3;
 use meniscus_formats::compression::{name_without_compression, read_head};
 use meniscus_formats::{
-    Format, Limits, MeshData, Neighbor, gltf, looks_like_mesh, looks_like_particles, neighbor, read_mesh,
+    Format, MeshData, Neighbor, gltf, looks_like_mesh, looks_like_particles, neighbor, read_mesh,
 };
 use twox_hash::XxHash3_128;
 use twox_hash::xxhash3_128::Hasher;
@@ -18,6 +18,7 @@ use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::named_files::path_of_named;
 use crate::pipeline::files::open::{open_regular, read_regular};
+use crate::pipeline::memory::reading_limits;
 use crate::pipeline::records::content::{SniffedContent, own_content};
 use crate::pipeline::target::viewpoint::Viewpoint;
 use crate::render::{Picture, TriangleMesh, render_mesh};
@@ -70,7 +71,7 @@ impl MeshFile {
             further.get_or_insert_default().write(&content);
             Ok(content)
         };
-        let read = || read_mesh(&bytes, &name, &Limits::default(), &read_external);
+        let read = || read_mesh(&bytes, &name, &reading_limits(), &read_external);
         let data = FrameError::catch(path, Stage::Read, read)?.map_err(fail)?;
         let further = further.into_inner().unwrap_or_else(PoisonError::into_inner);
         let hash = XxHash3_128::oneshot(&bytes) ^ further.map_or(0, |hasher| hasher.finish_128());

@@ -12,7 +12,7 @@ use std::sync::{Mutex, PoisonError};
 use glam::{DVec3, IVec3};
 use meniscus_formats::compression::name_without_compression;
 use meniscus_formats::vdb::LevelSetData;
-use meniscus_formats::{Error, MeshData, ObstacleData, gltf, read_obstacle};
+use meniscus_formats::{Error, Limits, MeshData, ObstacleData, gltf, read_obstacle};
 use twox_hash::XxHash3_128;
 use twox_hash::xxhash3_128::Hasher;
 
@@ -20,7 +20,6 @@ use crate::surface::obstacle::{GridSdf, MeshFindings, MeshSdf, ObstacleSdf, Sour
 use crate::surface::options::Settings;
 
 use super::container::OpenContainer;
-use super::level_set_file::level_set_limits;
 use crate::pipeline::error::ObstacleError;
 use crate::pipeline::files::input_file::{read_start_unchanged, read_unchanged};
 use crate::pipeline::files::named_files::path_of_named;
@@ -174,7 +173,7 @@ pub(super) fn parse(
             io::Error::new(io::ErrorKind::Unsupported, message)
         })
     };
-    let data = read_obstacle(&file, &name_of(path), &level_set_limits(memory_bytes), &take)
+    let data = read_obstacle(&file, &name_of(path), &Limits::within(memory_bytes), &take)
         .map_err(|error| failed(path, error))?;
     match data {
         ObstacleData::Mesh(mesh) => Ok(ObstacleSdf::Mesh(MeshSdf::new(&mesh.positions, &mesh.triangles))),

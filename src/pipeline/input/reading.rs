@@ -6,7 +6,7 @@ use std::path::Path;
 
 use meniscus_formats::compression::read_head;
 use meniscus_formats::{
-    AttributeRole, Error, FilePositions, Limits, ParticleFrame, check_supported, read_particles_named,
+    AttributeRole, Error, FilePositions, ParticleFrame, check_supported, read_particles_named,
 };
 
 use twox_hash::XxHash3_128;
@@ -21,6 +21,7 @@ use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::{InputFile, read_unchanged};
 use crate::pipeline::files::open::{open_regular, read_regular};
 use crate::pipeline::files::stamp::FileStamp;
+use crate::pipeline::memory::reading_limits;
 use crate::pipeline::warning::Warning;
 
 /// The contents of a particle file that the pipeline needs.
@@ -99,7 +100,7 @@ pub fn read_particles_of(
     columns: Option<&ColumnNames>,
 ) -> Result<ParticleFrame, FrameError> {
     let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
-    read_particles_named(bytes, &name, columns.map_or(&[], ColumnNames::pairs), &Limits::default())
+    read_particles_named(bytes, &name, columns.map_or(&[], ColumnNames::pairs), &reading_limits())
         .map_err(|error| FrameError::file(path, Stage::Read, by_lines_of_file(path, error)))
 }
 

@@ -35,6 +35,7 @@ use crate::pipeline::files::atomic_write::{sync_while, write_atomically};
 use crate::pipeline::files::identity::are_same_file;
 use crate::pipeline::files::open::{open_regular, read_regular};
 use crate::pipeline::files::stamp::FileStamp;
+use crate::pipeline::memory::reading_limits;
 use crate::surface::words::pluralize;
 
 /// A format of sequence files.
@@ -253,7 +254,7 @@ impl FrameReader {
         };
         last.take();
         file.read_to_end(&mut bytes)?;
-        let (glb, notes) = to_glb(bytes, &Limits::default()).map_err(io::Error::other)?;
+        let (glb, notes) = to_glb(bytes, &reading_limits()).map_err(io::Error::other)?;
         let glb = GlbBytes(Arc::new(glb));
         last.replace(Some(ConvertedFrame { index, glb: glb.clone(), notes }));
         Ok(FrameReader::Converted(Cursor::new(glb)))
@@ -338,7 +339,7 @@ impl PointsFile {
 }
 
 fn read_points(path: &Path, format: PointFormat) -> meniscus_formats::Result<ParticleFrame> {
-    format.read(&read_regular(path)?, &Limits::default())
+    format.read(&read_regular(path)?, &reading_limits())
 }
 
 /// The points of a sequence, whose frames have these files; `None` if no frame has one.

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use meniscus_formats::usda::{ClipFile, SampledProperty, StageClips, UsdStage, stage_text};
-use meniscus_formats::{Limits, PointFormat, is_complete, read_provenance, usda, usdc, vdb};
+use meniscus_formats::{PointFormat, is_complete, read_provenance, usda, usdc, vdb};
 
 use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use super::sequence_file::{SequenceError, increasing};
@@ -28,6 +28,7 @@ use crate::pipeline::files::atomic_write::write_atomically;
 use crate::pipeline::files::frame_number::natural_order;
 use crate::pipeline::files::identity::real_path;
 use crate::pipeline::files::open::open_regular;
+use crate::pipeline::memory::reading_limits;
 use crate::pipeline::target::outputs::{
     OutputFormat, OutputOptions, UsdStageOptions, output_path, spray_path,
 };
@@ -413,7 +414,7 @@ const DEFINING_MAX: usize = 100;
 fn sampled_properties(path: &Path, format: OutputFormat) -> meniscus_formats::Result<Vec<SampledProperty>> {
     let mut file = open_regular(path)?;
     if format != OutputFormat::Usda {
-        return usdc::read_sampled_properties(&mut file, &Limits::default());
+        return usdc::read_sampled_properties(&mut file, &reading_limits());
     }
     let mut head = Vec::new();
     file.take(SAMPLED_HEAD_BYTES).read_to_end(&mut head)?;

@@ -19,7 +19,7 @@ use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::container::is_container_file;
 use crate::pipeline::input::frame::{Frame, InputState, Job, Outcome, Seconds};
 use crate::pipeline::input::frame_input::{FileParticles, FrameInput, LevelSetInput, read_level_set};
-use crate::pipeline::input::level_set_file::{level_set_limits, other_grids};
+use crate::pipeline::input::level_set_file::other_grids;
 use crate::pipeline::input::obstacles::{FoundObstacles, FrameObstacles};
 use crate::pipeline::input::out_of_reach::out_of_reach;
 use crate::pipeline::input::position_doubts::position_doubts;
@@ -33,6 +33,7 @@ use crate::surface::attributes::add_computed;
 use crate::surface::particles::ParticleCloud;
 use crate::surface::reconstruction::MemoryPlan;
 use crate::surface::spray::Spray;
+use meniscus_formats::Limits;
 
 use super::compute::is_of_content;
 use super::history::HistoryNotes;
@@ -350,7 +351,7 @@ fn check_file_of_level_set(
     }
     let times = if job.max_deviation_voxels() > 0.0 { 32 } else { 16 };
     let content = format!(", in a file of {} MiB,", file_bytes.div_ceil(1 << 20));
-    level_set_limits(memory_bytes).check_level_set(file_bytes.saturating_mul(times), &content)
+    Limits::within(memory_bytes).check_level_set(file_bytes.saturating_mul(times), &content)
 }
 
 /// Files of this size and larger are read in batches if their format allows it. A smaller file is faster to

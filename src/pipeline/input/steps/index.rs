@@ -21,12 +21,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use meniscus_formats::compression::{decompressed_so_far, read_head};
 use meniscus_formats::container::{ContainerFrames, is_container};
 use meniscus_formats::steps::{FoundStep, find_more_steps, find_steps, may_have_steps};
-use meniscus_formats::{Limits, Probe, ProbedKind, Result, probe};
+use meniscus_formats::{Probe, ProbedKind, Result, probe};
 use twox_hash::XxHash3_128;
 
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::input::container::{ContainerFrame, OpenContainer};
+use crate::pipeline::memory::reading_limits;
 
 /// The index of a file.
 #[derive(Debug)]
@@ -201,7 +202,7 @@ pub(super) fn index_steps(
         kind,
         BufReader::with_capacity(BUFFER_BYTES, &mut source),
         &mut known,
-        &Limits::default(),
+        &reading_limits(),
     )?;
     let mut contents = StepIndex::new(stamp, kind, within(known, stamp.size));
     let head = before.and_then(|before| before.edges.as_ref()).map(|edges| edges.head);
@@ -238,8 +239,8 @@ fn index_container(path: &Path, before: Option<&StepIndex>, stamp: FileStamp) ->
 fn index_compressed(mut source: impl Read, stamp: FileStamp, kind: ProbedKind) -> Result<StepIndex> {
     let mut bytes = Vec::new();
     source.read_to_end(&mut bytes)?;
-    let (decompressed, _) = decompressed_so_far(&bytes, &Limits::default())?;
-    let found = find_steps(kind, &*decompressed, &Limits::default())?;
+    let (decompressed, _) = decompressed_so_far(&bytes, &reading_limits())?;
+    let found = find_steps(kind, &*decompressed, &reading_limits())?;
     let unpacking_bytes = Some((bytes.len() + decompressed.len()) as u64);
     let found = within(found, decompressed.len() as u64);
     Ok(StepIndex { unpacking_bytes, ..StepIndex::new(stamp, kind, found) })
@@ -516,7 +517,7 @@ mod tests {
                 ProbedKind::Format(Format::LammpsDump),
                 BufReader::new(&mut source),
                 &mut known,
-                &Limits::default(),
+                &meniscus_formats::Limits::default(),
             )
             .expect("steps");
             let mut first = StepIndex::new(stamp, ProbedKind::Format(Format::LammpsDump), known);

@@ -28,7 +28,7 @@ use std::sync::atomic::AtomicBool;
 
 use meniscus_formats::container::is_container;
 use meniscus_formats::steps::{FoundStep, may_have_steps, step_of_compressed};
-use meniscus_formats::{Error, Limits, ReadAt, Result};
+use meniscus_formats::{Error, ReadAt, Result};
 use twox_hash::XxHash3_128;
 
 use crate::pipeline::files::input_file::InputFile;
@@ -36,6 +36,7 @@ use crate::pipeline::files::named_files::NamedFiles;
 use crate::pipeline::files::names::text_of_name;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::stamp::FileStamp;
+use crate::pipeline::memory::reading_limits;
 
 use super::container::{OpenContainer, is_container_file};
 use cache::{cached_index, index_unless, index_unless_changed};
@@ -345,7 +346,7 @@ pub(crate) fn read_step(file: &Path, step: &str, by: IndexPolicy) -> Result<Opti
     let hash = XxHash3_128::oneshot(&bytes);
     let bytes = if is_packed {
         // A step that has moved is absent, so the file has changed.
-        let step = step_of_compressed(contents.kind, &bytes, found, &Limits::default())?;
+        let step = step_of_compressed(contents.kind, &bytes, found, &reading_limits())?;
         let Some(step) = step else { return Ok(None) };
         step
     } else if found.head.is_empty() {
@@ -374,6 +375,7 @@ fn step_index(file: &Path) -> Result<Arc<StepIndex>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meniscus_formats::Limits;
     use ruzstd::encoding::{CompressionLevel, compress_to_vec};
     use std::fs;
 
