@@ -150,7 +150,8 @@ class Bake:
     def _save(self, frame: int, surface: pymeniscus.Surface) -> str:
         path = self._folder / f"{self.file.stem}.{frame:04}.abc"
         try:
-            surface.write(path, up="z")
+            # Not turned: the modifier shows the coordinates as they are.
+            surface.write(path, up="y")
         except (OSError, pymeniscus.MeniscusError) as error:
             return f"frame {frame}: {error}"
         self.written += 1
@@ -246,6 +247,7 @@ def link(surface: bpy.types.Object, file: Path, context: bpy.types.Context) -> N
         raise RuntimeError(f"Blender could not open {file}")
     modifier = surface.modifiers.get(MODIFIER) or surface.modifiers.new(MODIFIER, "MESH_SEQUENCE_CACHE")
     modifier.cache_file = cache
+    cache.velocity_name = ".velocities"
     # All kinds of data. Which kinds exist depends on the version of Blender.
     modifier.read_data = {item.identifier for item in modifier.bl_rna.properties["read_data"].enum_items}
     context.view_layer.update()

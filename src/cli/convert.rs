@@ -251,8 +251,9 @@ impl ConvertPlan {
             ));
         } else if !self.options.frame_reach().is_none() && batch.lacks_frames_around() {
             console.warning(format_args!(
-                "each frame decides alone what is spray, and where its particles were: no frame has the number before or \
-                 after that of another one; name the whole sequence, and choose frames with --frames"
+                "{} has only its own frame to go by: no frame has the number before or after that of another one; name \
+                 the whole sequence, and choose frames with --frames",
+                if self.options.rest.is_some() { "--rest" } else { "--spray" }
             ));
         }
         if let Some(records) = &self.records {

@@ -42,8 +42,13 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Com
 /// # Errors
 /// If the name does not end like that of a sequence file.
 fn format_of(path: &Path) -> Result<SequenceFormat> {
-    SequenceFormat::of(path)
-        .with_context(|| format!("{}: the name of a sequence file must end in .glb or .abc", path.display()))
+    SequenceFormat::of(path).with_context(|| {
+        format!(
+            "{}: the name of a sequence file must end in .glb or .abc; for USD, `meniscus convert --stage` writes a stage \
+             that plays the frames",
+            path.display()
+        )
+    })
 }
 
 /// These files without `output`: a pattern may match the old sequence file, which the new one replaces.

@@ -795,7 +795,7 @@ pub(super) struct SequenceArgs {
     #[arg(short, long, value_name = "FILE")]
     pub(super) out: PathBuf,
 
-    /// Frames per second of the sequence file, more than 0 and at most 1000; use those of your scene
+    /// Frames per second of the sequence file, more than 0 and at most 1000; use the frame rate of your scene
     #[arg(long, value_name = "N", default_value_t = FPS, value_parser = parse_fps)]
     pub(super) fps: f64,
 }
