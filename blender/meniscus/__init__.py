@@ -3,9 +3,9 @@
 Each module of `MODULES` registers its own classes, properties, handlers and timers, and removes all of them.
 """
 
-from . import bake, conversion, live, sequence
+from . import conversion, live, sequence
 
-MODULES = (live, bake, sequence, conversion)
+MODULES = (live, sequence, conversion)
 
 
 def register() -> None:

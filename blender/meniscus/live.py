@@ -132,7 +132,6 @@ _writes: "queue.SimpleQueue[tuple[Callable[[], None], Future[None]]]" = queue.Si
 _is_stale = False
 _was_busy = False
 _is_quiet = False
-_is_paused = False
 
 
 @contextlib.contextmanager
@@ -144,17 +143,6 @@ def quiet() -> Iterator[None]:
         yield
     finally:
         _is_quiet = False
-
-
-@contextlib.contextmanager
-def paused() -> Iterator[None]:
-    """Visits frames without requests for new surfaces."""
-    global _is_paused
-    _is_paused = True
-    try:
-        yield
-    finally:
-        _is_paused = False
 
 
 def has_event_loop() -> bool:
@@ -254,7 +242,7 @@ _rendered: tuple[int, float] | None = None
 @persistent
 def on_depsgraph_update(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
     """Follows changes of the points: an edit, a node, a modifier."""
-    if graph.mode == "RENDER" or _is_paused or _rendered is not None or is_rendering():
+    if graph.mode == "RENDER" or _rendered is not None or is_rendering():
         return
     changed = {each.id.original for each in graph.updates if each.is_updated_geometry}
     # Blender reports no update of points that are shown again.
@@ -277,7 +265,7 @@ def on_frame_change(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
     if graph.mode == "RENDER":
         if _rendered == (scene.frame_current, scene.frame_subframe):
             render_surfaces(scene, graph)
-    elif _rendered is None and not _is_paused and not is_rendering():
+    elif _rendered is None and not is_rendering():
         for surface in surfaces_in(scene):
             if surface.meniscus.is_live:
                 update(surface, graph)

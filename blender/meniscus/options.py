@@ -12,7 +12,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 from pymeniscus import OptionInfo, option_table
 
-# Options with properties of their own in `live` or `bake`, and options that have no effect on a mesh in Blender.
+# Options with properties of their own in `live`, and options that have no effect on a mesh in Blender.
 OTHERS = {"preset", "spacing", "columns", "radius_attribute", "quads", "temporal", "time_step"}
 OTHER_GROUPS = {"Obstacles"}
 # The options in the panel itself; the others are in subpanels by group.

@@ -39,12 +39,11 @@ class Points:
     positions: NDArray[np.float32]
     radii: NDArray[np.float32] | None = None
     velocity: NDArray[np.float32] | None = None
-    ids: NDArray[np.int32] | None = None
     attributes: dict[str, NDArray[Any]] = field(default_factory=dict)
     note: str = ""
 
     def hash(self) -> str:
-        """A hash of all arrays that a surface without averages depends on. It takes a second for a gigabyte: compute it on a thread."""
+        """A hash of all arrays that a surface depends on. It takes a second for a gigabyte: compute it on a thread."""
         state = hashlib.blake2b(digest_size=16)
         named = {"P": self.positions, "R": self.radii, "V": self.velocity, **self.attributes}
         for name, values in named.items():
@@ -105,14 +104,13 @@ def read(
     points = Points(array_of(attributes["position"]).reshape(-1, 3))
     notes = [f"{instances} instances are left out (realize them)"] if instances else []
     if radius:
-        points.radii = named(attributes, radius, "FLOAT", source)
+        points.radii = named(attributes, radius, "FLOAT")
         if points.radii is None:
             raise PointsError(f"“{source.name}” has no attribute “{radius}” of decimal numbers for the radius")
     if velocity:
-        points.velocity = named(attributes, velocity, "FLOAT_VECTOR", source)
+        points.velocity = named(attributes, velocity, "FLOAT_VECTOR")
         if points.velocity is None:
             notes.append(f"no vector attribute “{velocity}”: no motion blur")
-    points.ids = named(attributes, "id", "INT", source)
     if has_attributes:
         left_out = []
         for attribute in attributes:
@@ -131,7 +129,7 @@ def read(
     return points
 
 
-def named(attributes: Any, name: str, kind: str, source: bpy.types.Object) -> NDArray[np.float32] | None:
+def named(attributes: Any, name: str, kind: str) -> NDArray[np.float32] | None:
     attribute = attributes.get(name)
     if attribute is None or attribute.domain != "POINT" or attribute.data_type != kind:
         return None

@@ -46,7 +46,6 @@ class Result:
     warnings: tuple[str, ...] = ()
     is_coarse: bool = False
     seconds: float = 0.0
-    surface: pymeniscus.Surface | None = None
 
 
 Progress = Callable[[str, float], object]
@@ -69,7 +68,7 @@ def signature_of(points_hash: str, options: dict[str, Any]) -> str:
 
 def compute(request: Request, is_coarse: bool = False, progress: Progress | None = None) -> Result:
     """Makes the surface of a request. The same points and options give the same surface on any machine, in the
-    viewport, in a render and in a bake."""
+    viewport and in a render."""
     start = time.monotonic()
     result = Result(request, is_coarse=is_coarse)
     points, options = request.points, dict(request.options)
@@ -93,7 +92,7 @@ def compute(request: Request, is_coarse: bool = False, progress: Progress | None
                 progress=progress,
                 **options,
             )
-            result.arrays, result.surface, result.warnings = arrays_of(surface), surface, surface.warnings
+            result.arrays, result.warnings = arrays_of(surface), surface.warnings
     except _Newer:
         raise
     except Exception as error:

@@ -9,13 +9,11 @@
     errors        points that cannot be read, with the reason in the panel
     rendered      frames 1 to 10, each with its own surface, with motion blur
                   extension_0001.png and so on, extension_still.png: frame 5 without blur
-    baked         a range of frames as one .abc, which shows the same mesh in each frame
 
 Runs in separate Pythons, with Blender 4.5 and 5.0 as a module. The argument is the wheel of pymeniscus.
 """
 
 import contextlib
-import dataclasses
 import importlib
 import io
 import os
@@ -61,7 +59,6 @@ def main():
             ("newest request", newest),
             ("errors", errors),
             ("frames 1 to 10", rendered),
-            ("bake", baked),
             ("removed", lambda: removed(wheel)),
         ):
             try:
@@ -338,7 +335,7 @@ def drawn(name):
     layout = MagicMock()
     for nested in ("row", "column", "box"):
         getattr(layout, nested).return_value = layout
-    panel = next(each for each in (*part("live").CLASSES, *part("bake").CLASSES) if each.__name__ == name)
+    panel = next(each for each in part("live").CLASSES if each.__name__ == name)
     panel.draw(SimpleNamespace(layout=layout), bpy.context)
     labels = " ".join(call.kwargs["text"] for call in layout.label.call_args_list)
     return labels, [call.args[1] for call in layout.prop.call_args_list]
@@ -353,7 +350,6 @@ def panel_faults():
     if "triangles" not in labels or "preset" not in props or "voxel_size" not in props:
         faults.append(f"the panel shows {labels}, {props}")
     props += drawn("MENISCUS_PT_options")[1] + drawn("MENISCUS_PT_attributes")[1]
-    drawn("MENISCUS_PT_bake")
     surface = bpy.context.object
     known = surface.meniscus.options.bl_rna.properties
     others = part("options").OTHERS | {"void_threshold"}
@@ -611,7 +607,7 @@ def hidden_points():
     return faults
 
 
-# Renders and bakes
+# Renders
 
 
 def rendered():
@@ -652,106 +648,6 @@ def rendered():
     if not blur >= 1e-3:
         faults.append("motion blur changes nothing")
     return f"each with its surface; blur changes pixels by {blur:.4f}: {WORK.name}/extension_0001.png to 0010", faults
-
-
-def baked():
-    scene, source, surface, _ = add_surface(5_000, is_moving=True)
-    meshes = {}
-    for frame in (1, 2, 3):
-        scene.frame_set(frame)
-        meshes[frame] = (positions_of(surface.data), numbers_of(surface.data, "velocity"))
-    file = FOLDER / "baked.abc"
-    # Files of the user, with the names that frames have.
-    users = [file.with_name(f"baked.{frame:04}.abc") for frame in (1, 2, 3, 4)]
-    for path in users:
-        path.write_text(path.name)
-    bpy.ops.meniscus.bake(filepath=str(file), first=1, last=3)
-    faults = [] if scene.frame_current == 3 else ["the bake left another frame"]
-    if any(not path.is_file() or path.read_text() != path.name for path in users):
-        faults.append("the bake changed files of the user")
-    others = [path.name for path in FOLDER.iterdir() if "baked" in path.name and path not in (file, *users)]
-    if others:
-        faults.append(f"the bake left {others}")
-    if surface.meniscus.is_live or not surface.modifiers:
-        faults.append("the file is not shown")
-    for frame, (positions, velocity) in meshes.items():
-        scene.frame_set(frame)
-        mesh = surface.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
-        if not np.array_equal(positions_of(mesh), positions):
-            faults.append(f"frame {frame} of the file is another mesh")
-        elif not abs(numbers_of(mesh, "velocity") - velocity).max() <= 1e-6:
-            faults.append(f"frame {frame} of the file has other velocities")
-    # The same file again, with another surface: Blender shows the new one.
-    surface.meniscus.options.voxel_size, surface.meniscus.options.use_voxel_size = 0.7, True
-    # By another spelling of its path.
-    bpy.ops.meniscus.bake(filepath=str(file.parent / ".." / file.parent.name / file.name), first=1, last=3)
-    mesh = surface.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
-    if not 0 < len(mesh.vertices) < len(meshes[3][0]):
-        faults.append("a second bake to the file is not shown")
-    if len(bpy.data.cache_files) != 1:
-        faults.append(f"two bakes to one file made {len(bpy.data.cache_files)} caches")
-    # A bake that is cancelled, and one that Blender ends, in the first of many frames.
-    for end in ("cancel", "close"):
-        bake = part("bake").Bake(surface, scene, FOLDER / "ended.abc", 1, 100)
-        bake.step()
-        getattr(bake, end)()
-        bake.wait()
-        if end == "cancel" and bake.step():
-            faults.append("a cancelled bake goes on")
-        limit = time.perf_counter() + 10
-        while (left := [path.name for path in FOLDER.iterdir() if "ended" in path.name]) and time.perf_counter() < limit:
-            time.sleep(0.01)
-        if left:
-            faults.append(f"after {end}, {left} stay")
-    # A folder in place of the file: the bake ends with the reason.
-    other = FOLDER / "other.abc"
-    other.mkdir()
-    try:
-        bpy.ops.meniscus.bake(filepath=str(other), first=1, last=1, is_linked=False)
-        faults.append("a bake over a folder has succeeded")
-    except RuntimeError as error:
-        if "other.abc" not in str(error):
-            faults.append(f"a bake over a folder says {error}")
-    bpy.ops.meniscus.unlink()
-    if surface.modifiers or not surface.meniscus.is_live:
-        faults.append("the surface is not live again")
-    faults += averaged(scene, surface)
-    return f"3 frames, {file.stat().st_size:,} bytes", faults
-
-
-def averaged(scene, surface):
-    """A bake with averages over time has the surfaces of the Python package."""
-    import pymeniscus
-
-    frames = []
-    for frame in (1, 2, 3, 4):
-        scene.frame_set(frame)
-        request = part("live").request_of(surface, bpy.context.evaluated_depsgraph_get())
-        points = request.points
-        named = {"radii": points.radii, "velocity": points.velocity, "ids": points.ids}
-        frames.append({"points": points.positions, "attributes": points.attributes or None, **named})
-    options = {"temporal": 1, "time_step": 1 / 24, **request.options}
-    wanted = [surface.vertices for surface in pymeniscus.Sequence(**options).averaged(frames)]
-    bpy.ops.meniscus.bake(filepath=str(FOLDER / "averaged.abc"), first=1, last=4, temporal=1)
-    faults = []
-    for frame, vertices in enumerate(wanted, 1):
-        scene.frame_set(frame)
-        mesh = surface.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
-        if not np.array_equal(positions_of(mesh), vertices):
-            faults.append(f"frame {frame} of the averages is another mesh")
-    bpy.ops.meniscus.unlink()
-    # A frame that fails, and one after a gap, are not averaged with others.
-    averages = part("bake").Averages(1, 1 / 24)
-    lost = dataclasses.replace(points, positions=np.full_like(points.positions, np.nan))
-    for frame in (1, 2, 3, 4):
-        averages.add(frame, dataclasses.replace(request, points=lost) if frame == 3 else request)
-    found = [averages.next() for _ in range(4)]
-    averages.add(6, request)
-    found.append(averages.next())
-    counts = [each if isinstance(each, Exception) else (each.report["temporal"] or {"frames": 0})["frames"] for _, each in found]
-    if [frame for frame, _ in found] != [1, 2, 3, 4, 6] or counts[:2] + counts[3:] != [1, 1, 0, 0]:
-        faults.append(f"around frames that fail, {counts} frames were averaged")
-    return faults
 
 
 if __name__ == "__main__":
