@@ -251,8 +251,8 @@ impl ConvertPlan {
             ));
         } else if !self.options.frame_reach().is_none() && batch.lacks_frames_around() {
             console.warning(format_args!(
-                "{} has only its own frame to go by: no frame has the number before or after that of another one; name \
-                 the whole sequence, and choose frames with --frames",
+                "{} uses each frame alone: no frame has the number before or after that of another one; name the whole \
+                 sequence, and choose frames with --frames",
                 if self.options.rest.is_some() { "--rest" } else { "--spray" }
             ));
         }

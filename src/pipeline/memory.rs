@@ -1,12 +1,15 @@
 //! Measures the memory of this process, and its limits.
 
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use meniscus_formats::Limits;
 
 /// The memory for one file that is read, in bytes; 0 for the default. A process runs one command.
 static READING_BYTES: AtomicU64 = AtomicU64::new(0);
+
+static DEFAULT_READING_BYTES: LazyLock<u64> = LazyLock::new(default_memory_bytes);
 
 /// Limits the memory for each file that this process reads from now on.
 pub fn limit_reading(bytes: u64) {
@@ -16,7 +19,7 @@ pub fn limit_reading(bytes: u64) {
 /// The limits of readers.
 pub(crate) fn reading_limits() -> Limits {
     match READING_BYTES.load(Ordering::Relaxed) {
-        0 => Limits::within(default_memory_bytes()),
+        0 => Limits::within(*DEFAULT_READING_BYTES),
         bytes => Limits::within(bytes),
     }
 }

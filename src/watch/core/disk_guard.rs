@@ -136,6 +136,10 @@ mod tests {
 
     const OUT: &str = "/out";
 
+    fn found(free_bytes: u64) -> [FoundSpace<'static>; 1] {
+        [FoundSpace { folder: Path::new(OUT), lost: None, free_bytes: Some(free_bytes) }]
+    }
+
     #[test]
     fn folder_of_another_daemon_blocks_until_it_is_free() {
         let now = Instant::now();
@@ -144,10 +148,6 @@ mod tests {
         assert_eq!(guard.reason().as_deref(), Some("another daemon; trying again soon"));
         guard.check(&found(9), now);
         assert_eq!(guard.reason(), None);
-    }
-
-    fn found(free_bytes: u64) -> [FoundSpace<'static>; 1] {
-        [FoundSpace { folder: Path::new(OUT), lost: None, free_bytes: Some(free_bytes) }]
     }
 
     #[test]
