@@ -175,7 +175,7 @@ pub(crate) fn is_gzip(bytes: &[u8]) -> bool {
 ///
 /// # Errors
 /// `Truncated` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed
-/// file; `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`.
+/// file; `MemoryLimit` beyond `memory_bytes`, and `TooLarge` beyond `decompression_ratio`.
 fn inflate(inflated: &mut Vec<u8>, bytes: &[u8], limits: &Limits) -> Result<()> {
     let mut rest = bytes;
     while is_gzip(rest) {
@@ -288,8 +288,8 @@ mod tests {
     fn decompression_bomb_is_stopped_early() {
         let bomb = gzipped(&vec![0; 64 << 20]);
         assert!(matches!(inflate(&bomb, &Limits::default()), Err(Error::TooLarge { .. })));
-        let limits = Limits { decompressed_bytes: 5 << 20, ..Limits::default() };
-        assert!(matches!(inflate(&bomb, &limits), Err(Error::TooLarge { .. })));
+        let limits = Limits { memory_bytes: 5 << 20, ..Limits::default() };
+        assert!(matches!(inflate(&bomb, &limits), Err(Error::MemoryLimit { .. })));
         let limits = Limits { decompression_ratio: 1032, ..Limits::default() };
         assert_eq!(inflate(&bomb, &limits).unwrap().len(), 64 << 20);
         let small = gzipped(&vec![0; 16 << 20]);

@@ -70,11 +70,10 @@ pub enum Error {
         /// One sentence: what the file needs and what the limit is.
         what: String,
     },
-    /// A level set needs more memory than [`crate::Limits::level_set_bytes`].
+    /// Reading the file, or using what was read, needs more memory than [`crate::Limits::memory_bytes`].
     MemoryLimit {
-        /// What the level set has, to insert after "the level set" in a message. It starts with its own
-        /// separator, as in " with its picture" and ", with 3 leaves,", so that it may be empty.
-        content: String,
+        /// What needs the memory, such as "reading the file".
+        what: String,
         /// The required memory in MiB, rounded up.
         needed_mebibytes: u64,
         /// The limit in MiB, rounded down.
@@ -162,10 +161,9 @@ impl fmt::Display for Error {
             Error::Unsupported { format: "", what } => f.write_str(what),
             Error::Unsupported { format, what } => write!(f, "{format}: {what}"),
             Error::TooLarge { format, what } => write!(f, "{format}: {what}"),
-            Error::MemoryLimit { content, needed_mebibytes: needed, limit_mebibytes: limit } => write!(
+            Error::MemoryLimit { what, needed_mebibytes: needed, limit_mebibytes: limit } => write!(
                 f,
-                "OpenVDB: the level set{content} needs {needed} MiB of memory, and the limit is {limit} MiB: use \
-                 --memory {needed}MiB or more"
+                "{what} needs {needed} MiB of memory, and the limit is {limit} MiB: use --memory {needed}MiB or more"
             ),
         }
     }

@@ -16,13 +16,11 @@ pub struct Limits {
     pub attribute_count: usize,
     /// Maximum number of frames in one file.
     pub step_count: usize,
-    /// Maximum memory for what is read from one file, decompressed, in bytes.
-    pub decompressed_bytes: u64,
+    /// Maximum memory for what is read from one file, decompressed, in bytes. For a level set this includes
+    /// the file and the tables that locate its leaves and tiles.
+    pub memory_bytes: u64,
     /// Maximum number of decompressed bytes per compressed byte, ignoring the first 16 MiB.
     pub decompression_ratio: u64,
-    /// Maximum memory for a level set, in bytes: its file, the data read from it, and the tables that locate
-    /// its leaves and tiles.
-    pub level_set_bytes: u64,
 }
 
 impl Default for Limits {
@@ -32,9 +30,8 @@ impl Default for Limits {
             header_bytes: 1 << 20,
             attribute_count: 4096,
             step_count: 1_000_000, // a step can be as short as three bytes, and the reader keeps an entry for each
-            decompressed_bytes: 1 << 36, // `particle_count` positions take 48 GiB
+            memory_bytes: 1 << 36, // `particle_count` positions take 48 GiB
             decompression_ratio: 200, // particles compress by 2 to 10, lattices by 50, a decompression bomb by 1030
-            level_set_bytes: 1 << 36,
         }
     }
 }
@@ -46,7 +43,7 @@ pub(crate) const RATIO_FREE_BYTES: u64 = 16 << 20;
 impl Limits {
     /// The default limits, with this much memory for one file, in bytes.
     pub fn within(memory_bytes: u64) -> Limits {
-        Limits { decompressed_bytes: memory_bytes, level_set_bytes: memory_bytes, ..Limits::default() }
+        Limits { memory_bytes, ..Limits::default() }
     }
 
     /// Fails if there are more particles or vertices than the limit.
@@ -82,23 +79,22 @@ impl Limits {
     /// The maximum decompressed size of `compressed` bytes.
     pub(crate) fn decompressed_bytes_of(&self, compressed: u64) -> u64 {
         let by_ratio = compressed.saturating_mul(self.decompression_ratio).saturating_add(RATIO_FREE_BYTES);
-        by_ratio.min(self.decompressed_bytes)
+        by_ratio.min(self.memory_bytes)
     }
 
-    /// Fails if a level set needs more memory than the limit. `content` is inserted after "the level set" in
-    /// the message; it starts with its own separator, such as a space, and may be empty.
+    /// Fails if `what`, such as "the level set with its picture", needs more memory than the limit.
     ///
     /// # Errors
     /// [`Error::MemoryLimit`] with the required amount.
-    pub fn check_level_set(&self, needed_bytes: u64, content: &str) -> Result<()> {
+    pub fn check_memory(&self, needed_bytes: u64, what: &str) -> Result<()> {
         const MEBIBYTE: u64 = 1 << 20;
-        if needed_bytes <= self.level_set_bytes {
+        if needed_bytes <= self.memory_bytes {
             return Ok(());
         }
         Err(Error::MemoryLimit {
-            content: content.to_owned(),
+            what: what.to_owned(),
             needed_mebibytes: needed_bytes.div_ceil(MEBIBYTE),
-            limit_mebibytes: self.level_set_bytes / MEBIBYTE,
+            limit_mebibytes: self.memory_bytes / MEBIBYTE,
         })
     }
 
@@ -110,13 +106,7 @@ impl Limits {
         decompressed: u64,
         consumed: u64,
     ) -> Result<()> {
-        if decompressed > self.decompressed_bytes {
-            let (needed, most) = (decompressed.div_ceil(1 << 20), self.decompressed_bytes >> 20);
-            let what = format!(
-                "reading the file takes {needed} MiB of memory or more, and the limit is {most} MiB: use a larger --memory"
-            );
-            return Err(Error::too_large(format, what));
-        }
+        self.check_memory(decompressed, "reading the file")?;
         if decompressed > self.decompressed_bytes_of(consumed) {
             let most = self.decompression_ratio;
             return Err(Error::too_large(

@@ -84,8 +84,7 @@ pub fn neighbor(head: &[u8], file_name: &str, file: &dyn ReadAt) -> Option<Neigh
 /// The content of a compressed file.
 fn content(file: &dyn ReadAt) -> Result<Vec<u8>> {
     let limits = Limits::default();
-    let mut bytes =
-        vec![0; usize::try_from(file.size_bytes()?.min(limits.decompressed_bytes)).unwrap_or_default()];
+    let mut bytes = vec![0; usize::try_from(file.size_bytes()?.min(limits.memory_bytes)).unwrap_or_default()];
     file.read_exact_at(&mut bytes, 0)?;
     Ok(compression::decompressed(&bytes, &limits)?.into_owned())
 }

@@ -46,7 +46,7 @@ fn is_skippable(bytes: &[u8]) -> bool {
 ///
 /// # Errors
 /// `Truncated` if the file ends too early and `Invalid` if it is damaged, with the offset in the compressed
-/// file; `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`, or if the window is too large.
+/// file; `MemoryLimit` beyond `memory_bytes`, and `TooLarge` beyond `decompression_ratio` or if the window is too large.
 pub(crate) fn decompress(decompressed: &mut Vec<u8>, bytes: &[u8], limits: &Limits) -> Result<()> {
     let mut rest = bytes;
     while !rest.is_empty() {

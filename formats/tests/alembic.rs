@@ -210,7 +210,7 @@ fn table_of_strings_counts_as_much_as_it_takes() {
     );
     assert!(abc::to_glb(&bytes, &Limits::default()).is_ok());
     // Each string is one byte in the file.
-    let limits = Limits { decompressed_bytes: 16 << 20, ..Limits::default() };
+    let limits = Limits { memory_bytes: 16 << 20, ..Limits::default() };
     assert!(bytes.len() < 2 << 20);
-    assert!(matches!(abc::to_glb(&bytes, &limits), Err(Error::TooLarge { .. })));
+    assert!(matches!(abc::to_glb(&bytes, &limits), Err(Error::MemoryLimit { .. })));
 }

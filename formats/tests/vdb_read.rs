@@ -133,13 +133,13 @@ fn outline_of_a_level_set_has_its_leaves_and_the_memory_for_them() {
     write(&solid.view(), &WriteOptions::default(), &[], &mut bytes).expect("writing to memory");
     let data = read_level_set(&bytes, None, &Limits::default()).expect("a level set");
     let outline = level_set_outline(&bytes, None, &Limits::default()).expect("a level set");
-    let error = |using_bytes: u64, level_set_bytes: u64| {
-        let limits = Limits { level_set_bytes, ..Limits::default() };
+    let error = |using_bytes: u64, memory_bytes: u64| {
+        let limits = Limits { memory_bytes, ..Limits::default() };
         let checked = outline.check_memory(bytes.len() as u64, using_bytes, &limits);
         checked.err().map_or(String::new(), |error| error.to_string())
     };
     assert_eq!(error(0, bytes.len() as u64 + data.memory_bytes()), "");
-    let reading = read_level_set(&bytes, None, &Limits { level_set_bytes: 1 << 20, ..Limits::default() });
+    let reading = read_level_set(&bytes, None, &Limits { memory_bytes: 1 << 20, ..Limits::default() });
     assert_eq!(error(0, 1 << 20), reading.expect_err("too large").to_string());
     assert!(error(1 << 30, 1 << 20).contains("needs 1024 MiB of memory"), "{}", error(1 << 30, 1 << 20));
     assert_eq!((outline.origins, outline.background), (data.origins, data.background));
@@ -151,8 +151,8 @@ fn limits_and_missing_grids_are_errors() {
     let solid = solids::sphere([0.0; 3], 40.0);
     let mut bytes = Vec::new();
     write(&solid.view(), &WriteOptions::default(), &[], &mut bytes).expect("writing to memory");
-    let limits = Limits { decompressed_bytes: 1 << 16, ..Limits::default() };
-    assert!(matches!(read_level_set(&bytes, None, &limits), Err(Error::TooLarge { .. })));
+    let limits = Limits { memory_bytes: 1 << 16, ..Limits::default() };
+    assert!(matches!(read_level_set(&bytes, None, &limits), Err(Error::MemoryLimit { .. })));
     let error = read_level_set(&bytes, Some("density"), &Limits::default()).expect_err("no such grid");
     assert!(error.to_string().contains("\"surface\" of type Tree_float_5_4_3"), "{error}");
 }

@@ -40,10 +40,10 @@ pub(crate) fn of_method(failure: Error, scratch: &Path) -> PyErr {
 pub(crate) fn of_format(path: &Path, failure: meniscus_formats::Error) -> PyErr {
     match failure {
         meniscus_formats::Error::Io(failure) => of_io(path, &failure),
-        meniscus_formats::Error::MemoryLimit { content, needed_mebibytes, limit_mebibytes } => {
+        meniscus_formats::Error::MemoryLimit { what, needed_mebibytes, limit_mebibytes } => {
             MemoryLimitError::new_err(format!(
-                "{}: the level set{content} needs {needed_mebibytes} MiB of memory; the limit is \
-                 {limit_mebibytes} MiB: raise {}",
+                "{}: {what} needs {needed_mebibytes} MiB of memory, and the limit is {limit_mebibytes} \
+                 MiB: raise {}",
                 path.display(),
                 keyword(OptionName::new("memory"))
             ))

@@ -44,9 +44,8 @@ pub(crate) fn plan(
         let LevelSetInput { band, max_deviation_voxels, .. } = &**given;
         let level_set_bytes = reconstruction::smooth_level_set_bytes(band, *max_deviation_voxels, settings);
         let in_core_bytes = level_set_bytes.saturating_add(picture_bytes);
-        let with_picture = if picture_bytes > 0 { " with its picture" } else { "" };
-        let limits = Limits::within(allowed_bytes);
-        limits.check_level_set(in_core_bytes, with_picture).map_err(Cause::File)?;
+        let what = if picture_bytes > 0 { "the level set with its picture" } else { "the level set" };
+        Limits::within(allowed_bytes).check_memory(in_core_bytes, what).map_err(Cause::File)?;
         let memory_bytes = in_core_bytes.saturating_sub(particles.size_bytes());
         return Ok(MemoryPlan { memory_bytes, tile_leaves: None, in_core_bytes });
     }

@@ -65,8 +65,8 @@ pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Resu
     let entries = entries(bytes, limits)?;
     let entry = find_level_set(&entries, name)?;
     let (mut cursor, storage, _) = tree_cursor(bytes, &entries, entry)?;
-    let size = count_tree::<f32>(&mut cursor, storage, &mut TreeBudget::new(bytes.len(), limits))?;
-    limits.check_level_set(bytes.len() as u64 + size.memory_bytes(), &size.described())?;
+    let size = count_tree::<f32>(&mut cursor, storage, &mut TreeBudget::counting(bytes.len(), limits))?;
+    limits.check_memory(bytes.len() as u64 + size.memory_bytes(), &size.described())?;
     read_grid(bytes, &entries, entry, limits)
 }
 
@@ -83,14 +83,14 @@ pub struct LevelSetOutline {
 }
 
 impl LevelSetOutline {
-    /// Fails, like [`Limits::check_level_set`], if reading the file of this size, or using its level set,
+    /// Fails, like [`Limits::check_memory`], if reading the file of this size, or using its level set,
     /// needs more memory than the limit.
     ///
     /// # Errors
     /// [`Error::MemoryLimit`] with the larger of the two amounts.
     pub fn check_memory(&self, file_bytes: u64, using_bytes: u64, limits: &Limits) -> Result<()> {
         let reading_bytes = file_bytes.saturating_add(self.size.memory_bytes());
-        limits.check_level_set(reading_bytes.max(using_bytes), &self.size.described())
+        limits.check_memory(reading_bytes.max(using_bytes), &self.size.described())
     }
 }
 
@@ -104,7 +104,7 @@ pub fn level_set_outline(bytes: &[u8], name: Option<&str>, limits: &Limits) -> R
     let entries = entries(bytes, limits)?;
     let entry = find_level_set(&entries, name)?;
     let (mut cursor, storage, transform) = tree_cursor(bytes, &entries, entry)?;
-    let mut budget = TreeBudget::new(bytes.len(), limits);
+    let mut budget = TreeBudget::counting(bytes.len(), limits);
     let (background, origins, size) = outline_of_tree(&mut cursor, storage, &mut budget)?;
     Ok(LevelSetOutline { transform, background, origins, size })
 }

@@ -46,7 +46,7 @@ pub struct GridData<V> {
 }
 
 impl GridData<f32> {
-    /// Memory needed to read and use this grid, in bytes. [`Limits::level_set_bytes`] limits the sum of this
+    /// Memory needed to read and use this grid, in bytes. [`Limits::memory_bytes`] limits the sum of this
     /// and the size of the file.
     pub fn memory_bytes(&self) -> u64 {
         TreeSize { leaf_count: self.origins.len(), tile_count: self.tiles.len() }.memory_bytes()
@@ -63,7 +63,7 @@ pub(super) struct TreeSize {
 impl TreeSize {
     /// A clause of a message, between commas.
     pub(super) fn described(self) -> String {
-        format!(", with {} leaves and {} tiles,", self.leaf_count, self.tile_count)
+        format!("the level set, with {} leaves and {} tiles,", self.leaf_count, self.tile_count)
     }
 
     /// Memory needed to read and use a tree of floats of this size, in bytes.
@@ -140,21 +140,26 @@ pub(super) struct ValueStorage {
     pub(super) half: bool,
 }
 
-/// The memory that reading a file may still allocate.
+/// The memory that reading a file has allocated.
 pub(super) struct TreeBudget {
-    bytes: u64,
+    spent_bytes: u64,
+    file_bytes: u64,
+    limits: Limits,
 }
 
 impl TreeBudget {
     pub(super) fn new(file_bytes: usize, limits: &Limits) -> TreeBudget {
-        TreeBudget { bytes: limits.decompressed_bytes_of(file_bytes as u64) }
+        TreeBudget { spent_bytes: 0, file_bytes: file_bytes as u64, limits: *limits }
+    }
+
+    /// For counting: what is counted is not stored, so that only its ratio to the file is limited.
+    pub(super) fn counting(file_bytes: usize, limits: &Limits) -> TreeBudget {
+        TreeBudget::new(file_bytes, &Limits { memory_bytes: u64::MAX, ..*limits })
     }
 
     fn spend(&mut self, bytes: usize) -> Result<()> {
-        let too_large =
-            || Error::too_large(FORMAT, "the grid takes more memory than the limit for decompressed data");
-        self.bytes = self.bytes.checked_sub(bytes as u64).ok_or_else(too_large)?;
-        Ok(())
+        self.spent_bytes = self.spent_bytes.saturating_add(bytes as u64);
+        self.limits.check_decompressed(FORMAT, self.spent_bytes, self.file_bytes)
     }
 }
 

@@ -118,7 +118,7 @@ impl LevelSetFile {
         let leaf_count = self.band.topology.len() * fields;
         let needed_bytes = (leaf_count * size_of::<Leaf>()) as u64 + outputs.picture_bytes();
         Limits::within(memory_bytes)
-            .check_level_set(needed_bytes, " with its picture")
+            .check_memory(needed_bytes, "the level set with its picture")
             .map_err(|error| FrameError::file(path, Stage::Read, error))
     }
 

@@ -350,8 +350,8 @@ fn check_file_of_level_set(
         return Ok(());
     }
     let times = if job.max_deviation_voxels() > 0.0 { 32 } else { 16 };
-    let content = format!(", in a file of {} MiB,", file_bytes.div_ceil(1 << 20));
-    Limits::within(memory_bytes).check_level_set(file_bytes.saturating_mul(times), &content)
+    let what = format!("the level set in a file of {} MiB", file_bytes.div_ceil(1 << 20));
+    Limits::within(memory_bytes).check_memory(file_bytes.saturating_mul(times), &what)
 }
 
 /// Files of this size and larger are read in batches if their format allows it. A smaller file is faster to
