@@ -17,11 +17,13 @@ use meniscus_formats::listed;
 
 use crate::pipeline::{
     Frame, FrameFile, FrameRecords, Job, NumberedFrames, ObstacleFiles, OnError, OutputFormat, OutputOptions,
-    STATE_FOLDER, Sequence, SequenceRecord, UsdStageFrame, UsdStageSequence, check_outputs, frame_rate,
-    output_sequence, step_of,
+    STATE_FOLDER, Sequence, SequenceRecord, UsdStageFrame, UsdStageSequence, check_outputs, do_agree,
+    frame_rate, output_sequence, seconds_by_motion, step_of,
 };
+use crate::surface::attributes::names_velocity;
 use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::simd::level_warning;
+use crate::surface::words::significant;
 
 use super::CommandOutcome;
 use super::args::{ConvertArgs, FrameShard, OptionSet, ShardChoice};
@@ -240,6 +242,31 @@ impl ConvertPlan {
         }
     }
 
+    /// Warns if particles with velocities move as at another frame rate than that of the stage or the sequence files.
+    fn warn_of_frame_rate(&self, sequence: &Sequence, settings: &Settings, console: &Console) {
+        let is_played = self.outputs.stage.is_some() || self.sequence_files.paths().next().is_some();
+        if !is_played || !names_velocity(settings.attributes.as_ref()) {
+            return;
+        }
+        let fps = self.sequence_files.fps();
+        let middle = sequence.frames.len() / 2;
+        let Some([from, to]) = sequence.frames.get(middle.saturating_sub(1)..=middle) else { return };
+        let Some(frames) = from.number().zip(to.number()).map(|(from, to)| (to - from) as f64) else {
+            return;
+        };
+        // Frames that cannot be read fail later.
+        let Ok(Some(seconds)) = seconds_by_motion([&from.path, &to.path], settings) else { return };
+        if !do_agree(seconds, frames / fps) {
+            console.warning(format_args!(
+                "{}: by their velocities and ids, the particles move as at {} frames per second, and --fps is {fps}: give \
+                 --fps, or --velocity-scale {} if the velocities have another unit of time",
+                sequence.name,
+                significant(frames / seconds),
+                significant(settings.velocity_scale * seconds * fps / frames)
+            ));
+        }
+    }
+
     /// Converts the frames, and combines them into sequence files.
     fn run(&self, mut batch: Batch, folder: OutFolder, console: &mut Console) -> Result<CommandOutcome> {
         for selected in &self.selection.sequences {
@@ -253,7 +280,11 @@ impl ConvertPlan {
             console.warning(format_args!(
                 "{} uses each frame alone: no frame has the number before or after that of another one; name the whole \
                  sequence, and choose frames with --frames",
-                if self.options.rest.is_some() { "--rest" } else { "--spray" }
+                match &self.options {
+                    MethodOptions { rest: Some(_), .. } => "--rest",
+                    MethodOptions { spray: Some(1..), .. } => "--spray",
+                    _ => "--time-step",
+                }
             ));
         }
         if let Some(records) = &self.records {
@@ -315,6 +346,7 @@ impl ConvertPlan {
                     warn_of_siblings(sequence, &self.options, console);
                 }
                 warn_of(sequence, &settings, console);
+                self.warn_of_frame_rate(sequence, &settings, console);
                 settings
             }
             Job::LevelSet { .. } => Settings::for_level_sets(&self.options)?,

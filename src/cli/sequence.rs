@@ -147,10 +147,17 @@ impl SequenceOutputs {
         }
         let fps = args.formats.fps;
         if files.is_empty() && outputs.stage.is_none() && fps.is_some() && !args.print_settings {
-            bail!("--fps is for a sequence file or a stage: give --sequence or --stage as well");
+            bail!(
+                "--fps is for a sequence file or a stage: give --sequence or --stage as well, or --time-step to compute velocities"
+            );
         }
         let fps = fps.or(known_fps).unwrap_or(FPS);
         Ok(SequenceOutputs { files, fps, are_picked: args.frames.is_some() })
+    }
+
+    /// Their frame rate, and that of the stage.
+    pub(super) fn fps(&self) -> f64 {
+        self.fps
     }
 
     /// The files.

@@ -216,8 +216,7 @@ fn current_settings(
 
 /// The frames that a frame depends on, with these settings.
 fn frame_reach(values: &SettingValues) -> FrameReach {
-    let options = ["temporal", "spray", "spray_keep", "rest", "rest_period", "attributes"];
-    let pairs = options.into_iter().filter_map(|name| Some((name, values.get(name)?.as_str())));
+    let pairs = FrameReach::OPTIONS.into_iter().filter_map(|name| Some((name, values.get(name)?.as_str())));
     // Values out of range are of another version.
     let options = MethodOptions::from_pairs(pairs).filter(|options| options.check_ranges().is_ok());
     options.map_or_else(FrameReach::default, |options| options.frame_reach())

@@ -3,6 +3,9 @@
 use std::fmt;
 use std::time::Duration;
 
+use meniscus_formats::AttributeRole;
+use meniscus_formats::columns::aliases;
+
 use crate::pipeline::{FrameReport, FrameWarning, InputWarning, Job, ParticleSize, SurfaceWarning, Warning};
 use crate::surface::options::Start;
 pub(in crate::cli) use crate::surface::words::{pluralize, rounded_down, shortest, significant};
@@ -96,6 +99,14 @@ fn remedy(warning: &Warning) -> Option<String> {
         Warning::Input(InputWarning::NotFollowed) => {
             "write `id` with the particles, or `velocity`, and give --time-step".to_owned()
         }
+        Warning::Input(InputWarning::NotComputed { .. }) => COMPUTED_VELOCITIES.to_owned(),
+        Warning::Input(InputWarning::MissingAttribute { name, .. }) if is_velocity(name) => {
+            COMPUTED_VELOCITIES.to_owned()
+        }
+        Warning::Input(InputWarning::OtherTimeStep { velocity_scale, .. }) => format!(
+            "check --time-step, or use --velocity-scale {} if the velocities have another unit of time",
+            significant(*velocity_scale)
+        ),
         Warning::Input(InputWarning::Irregular { suitable, .. }) => {
             format!("use --preset {suitable}, or give --preset fluid if splashes matter more")
         }
@@ -125,6 +136,12 @@ fn remedy(warning: &Warning) -> Option<String> {
         }
         _ => return None,
     })
+}
+
+const COMPUTED_VELOCITIES: &str = "--time-step SECONDS, the time from one frame to the next, computes velocities from the ids of the particles";
+
+fn is_velocity(name: &str) -> bool {
+    aliases(AttributeRole::Velocity).iter().any(|known| name.eq_ignore_ascii_case(known))
 }
 
 /// How to transfer the particles' velocities to the outputs.

@@ -86,6 +86,13 @@ pub enum InputWarning {
     Irregular { irregularity: f64, suitable: Preset },
     /// The particles cannot be followed to the frames around: they have no ids, and no velocities with a time step.
     NotFollowed,
+    /// The velocities of the particles cannot be computed: they cannot be found in the frames before and after.
+    VelocitiesNotComputed,
+    /// The particles have no ids, and were found in the frames before and after by their order.
+    FollowedByOrder,
+    /// The particles move as if frames were this far apart, and another time is given, in seconds. With this velocity
+    /// scale both agree.
+    OtherTimeStep { measured: f64, given: f64, velocity_scale: f64 },
     /// The particles have no ids, so each frame alone decides which of them are spray.
     SprayWithoutIds,
     /// The frame has no number, so no frame is before or after it.
@@ -347,6 +354,20 @@ impl fmt::Display for InputWarning {
                 "the surface is not averaged with the frames around it: the particles have no ids of their own, \
                  and no velocities with a time step, by which they could be followed",
             ),
+            InputWarning::VelocitiesNotComputed => f.write_str(
+                "velocities are not computed: no frame before or after has particles with the same ids, or as many in the same \
+                 order",
+            ),
+            InputWarning::FollowedByOrder => f.write_str(
+                "the particles have no ids: their velocities are computed as if all frames had them in the same order",
+            ),
+            InputWarning::OtherTimeStep { measured, given, .. } => {
+                let [measured, given] = [*measured, *given].map(significant);
+                write!(
+                    f,
+                    "by their velocities and ids, the particles move as if frames were {measured} seconds apart, not {given}"
+                )
+            }
             InputWarning::SprayWithoutIds => f.write_str(
                 "the particles have no ids of their own, so each frame alone decides which of them are spray, and pieces may \
                  flicker between the surface and the points",

@@ -39,5 +39,6 @@ mod temporal; // surfaces that are averaged over time
 #[cfg(target_os = "linux")]
 mod unreadable; // frames with unreadable metadata fail, instead of being ignored
 pub(crate) mod vdb_file; // common parts of small .vdb files
+mod velocities; // velocities computed from the frames before and after, and frame rates that contradict the motion
 mod voxel_sizes; // voxel sizes and radii that do not fit the particles: errors and warnings
 mod watch; // the commands `watch` and `status`: arguments and output

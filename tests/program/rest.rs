@@ -57,7 +57,7 @@ fn convert(folder: &Path, out: &str, more: &[&str]) -> RunResult {
 }
 
 /// The vertices of a mesh, as particles.
-fn vertices(folder: &Path, number: i64) -> ParticleFrame {
+pub(super) fn vertices(folder: &Path, number: i64) -> ParticleFrame {
     let path = folder.join(format!("block.{number}.ply"));
     let bytes = fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     // The reader refuses meshes; without faces it is a cloud of points.
@@ -69,7 +69,7 @@ fn vertices(folder: &Path, number: i64) -> ParticleFrame {
     read_particles(&bytes, "vertices.ply", &Limits::default()).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn numbers(frame: &ParticleFrame, name: &str) -> Vec<f64> {
+pub(super) fn numbers(frame: &ParticleFrame, name: &str) -> Vec<f64> {
     let attribute = frame.attributes.iter().find(|attribute| attribute.name == name);
     match &attribute.unwrap_or_else(|| panic!("{name}")).values {
         Values::F32(values) => values.iter().map(|&value| value.into()).collect(),

@@ -329,7 +329,8 @@ pub(crate) fn find_around(
 ) -> (Vec<FoundFrame>, Vec<Warning>) {
     let mut warnings = Vec::new();
     let (reach, Settings { temporal, rest, .. }) = (frame.settings.frame_reach(), &*frame.settings);
-    if (*temporal > 0 || reach.has_history()) && frame.number.is_none() {
+    let needs_number = *temporal > 0 || reach.has_history() || frame.settings.computes_velocities();
+    if needs_number && frame.number.is_none() {
         warnings.push(Warning::Input(InputWarning::NotNumbered));
     }
     if let (Some(rest), Some(number)) = (rest, frame.number) {

@@ -24,6 +24,8 @@ pub struct AttributeRequest {
     selected: Option<AttributeSelection>,
     /// Whether ids and velocities are wanted, if there are any, to follow the particles.
     follows: bool,
+    /// Whether velocities are computed if the file has none.
+    computes_velocities: bool,
     /// Whether all attributes are wanted, for the points beside the surface.
     keeps_all: bool,
     /// What is read of the file.
@@ -89,7 +91,8 @@ impl RequiredAttribute {
 impl AttributeRequest {
     /// The attributes that a frame requires.
     pub(crate) fn for_frame(frame: &Frame) -> AttributeRequest {
-        AttributeRequest { follows: frame.is_averaged(), ..AttributeRequest::for_settings(&frame.settings) }
+        let request = AttributeRequest::for_settings(&frame.settings);
+        AttributeRequest { follows: frame.is_averaged() || request.computes_velocities, ..request }
     }
 
     /// The attributes that these settings require.
@@ -116,7 +119,8 @@ impl AttributeRequest {
         }
         AttributeRequest {
             selected: settings.attributes.clone(),
-            follows: settings.temporal > 0,
+            follows: settings.temporal > 0 || settings.computes_velocities(),
+            computes_velocities: settings.computes_velocities(),
             keeps_all: settings.spray > 0,
             ..request
         }
@@ -218,6 +222,8 @@ impl AttributeRequest {
             .collect();
         let is_known = |name: &String| {
             all.iter().any(|attribute| attribute.matches(name))
+                || self.computes_velocities
+                    && aliases(AttributeRole::Velocity).contains(&&*name.to_lowercase())
                 || computed.iter().any(|computed| name.eq_ignore_ascii_case(computed.name()))
         };
         for name in named.iter().filter(|name| !is_known(name)) {
@@ -252,7 +258,7 @@ impl AttributeRequest {
                 return Err(why);
             }
         }
-        if find_attribute(&kept, "velocity", 3).is_none() {
+        if !self.computes_velocities && find_attribute(&kept, "velocity", 3).is_none() {
             for attribute in computed.iter().filter(|computed| computed.needs_velocities()) {
                 warnings.push(Warning::Input(InputWarning::NotComputed { name: attribute.name() }));
             }

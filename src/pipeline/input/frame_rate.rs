@@ -1,9 +1,15 @@
-//! The frame rate of the steps of a file that states their times.
+//! The frame rate: by the times of the steps of a file that states them, or by the motion of particles.
 
 use std::path::Path;
 
+use super::attributes::AttributeRequest;
+use super::reading::{parse_particles, read_file};
 use super::steps::times_of_steps;
+use crate::pipeline::error::FrameError;
 use crate::pipeline::target::outputs::FRAME_RATES;
+use crate::surface::attributes::seconds_between;
+use crate::surface::options::Settings;
+use crate::surface::particles::ParticleCloud;
 
 /// How far a time may be from that of an even rate, in frames: solvers write at the first step after a frame.
 const TOLERANCE_FRAMES: f64 = 0.05;
@@ -28,6 +34,23 @@ fn rate_of(times: &[(i64, f64)]) -> Option<f64> {
     let is_number = |&(number, time): &(f64, f64)| time == number;
     let is_rate = FRAME_RATES.contains(&rate) && times.iter().all(is_regular) && !times.iter().all(is_number);
     is_rate.then_some(rate)
+}
+
+/// The seconds between two frames, if their particles have ids and velocities: see [`seconds_between`].
+///
+/// # Errors
+/// When a frame cannot be read.
+pub fn seconds_by_motion(frames: [&Path; 2], settings: &Settings) -> Result<Option<f64>, FrameError> {
+    let particles = |path: &Path| -> Result<ParticleCloud, FrameError> {
+        Ok(parse_particles(path, &read_file(path)?, &AttributeRequest::to_follow(&settings.reading))?.cloud)
+    };
+    let [from, to] = frames;
+    Ok(seconds_between(&particles(from)?, &particles(to)?, settings.velocity_scale))
+}
+
+/// Whether two times between frames are the same but for the accelerations of particles.
+pub fn do_agree(measured: f64, given: f64) -> bool {
+    (0.8..=1.25).contains(&(measured / given))
 }
 
 #[cfg(test)]

@@ -33,6 +33,7 @@ mod history;
 mod read;
 mod smoothed;
 mod spray;
+mod velocities;
 mod write;
 
 use std::collections::BTreeMap;

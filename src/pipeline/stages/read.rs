@@ -216,8 +216,9 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         let parse = move || {
             let mut read = parse_particles(&given.input, &bytes, &wanted)?;
             drop(bytes);
-            let HistoryNotes { warnings: of_history, mut unread } =
-                shared.follow_back(&mut read.cloud, (&given, hash), &others);
+            let mut notes = shared.follow_back(&mut read.cloud, (&given, hash), &others);
+            shared.complete_velocities(&mut read.cloud, &given, &others, &mut notes);
+            let HistoryNotes { warnings: of_history, mut unread } = notes;
             let ParticleCloud { positions, attributes, .. } = &mut read.cloud;
             add_computed(positions, attributes, &given.settings);
             let mut warnings = [read.warnings, left_out_warnings, of_history].concat();
@@ -328,6 +329,8 @@ fn unreadable(frame: &Frame, error: impl Into<meniscus_formats::Error>) -> Outco
 /// The memory for reading a file, as a multiple of its size: its bytes, and the parsed data.
 fn reading_memory(frame: &Frame) -> u64 {
     match frame.job {
+        // Both frames beside it are read and parsed.
+        Job::Surface if frame.settings.computes_velocities() => 6,
         // The parsed data include all attributes, and are divided; or a frame around is read and parsed beside them.
         Job::Surface if frame.settings.spray > 0 || frame.settings.frame_reach().has_history() => 4,
         Job::Surface => 2,

@@ -67,7 +67,8 @@ pub fn wants_computed(settings: &Settings, attributes: &[Attribute]) -> bool {
     OF_VELOCITIES.iter().any(|wanted| wanted.is_wanted(settings.attributes.as_ref(), attributes))
 }
 
-const OF_VELOCITIES: [ComputedAttribute; 2] = [ComputedAttribute::Speed, ComputedAttribute::Vorticity];
+pub(super) const OF_VELOCITIES: [ComputedAttribute; 2] =
+    [ComputedAttribute::Speed, ComputedAttribute::Vorticity];
 
 /// Adds the speed and the vorticity of particles to their attributes, if the settings select them and there are velocities.
 pub fn add_computed(positions: &OwnedPositions, attributes: &mut Vec<Attribute>, settings: &Settings) {

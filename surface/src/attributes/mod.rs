@@ -34,6 +34,7 @@
 mod computed;
 mod interpolate;
 mod rest;
+mod velocities;
 
 use std::sync::Arc;
 
@@ -59,6 +60,7 @@ use rest::fit_rest;
 
 pub use computed::{ComputedAttribute, add_computed, wants_computed};
 pub use rest::has_rest;
+pub use velocities::{Followed, add_velocities, names_velocity, seconds_between};
 
 /// The radius R of the weighted mean with these settings, world units.
 pub fn radius_world(settings: &Settings) -> f64 {

@@ -17,6 +17,7 @@ use super::presets::{Preset, Recipe};
 use super::resolution::Pairs;
 use super::values::{AnisotropyKind, AttributeSelection, ClipBox, ColumnNames, Length, LengthUnit};
 use super::{OptionName, PerParticleRadius, ReadOptions, SettingsError, SpacingOptions, Start, positive};
+use crate::attributes::names_velocity;
 use crate::contour::Contouring;
 use crate::particles::ParticleFilter;
 use crate::smooth::Integrator;
@@ -214,12 +215,16 @@ method_options! {
             #[value(named("N"))]
             temporal: u32 in 0..=FRAMES_MAX,
 
-            /// Seconds from one frame to the next (not the time step of the solver), 1e-9 to 1e9, for --temporal with
-            /// particles that have velocities and no ids
+            /// Seconds from one frame to the next (not the time step of the solver), 1e-9 to 1e9, for particles without ids or
+            /// without velocities
+            ///
+            /// With --temporal, particles without ids are followed by their velocities. With --attributes velocity,
+            /// velocities that the particles lack are computed from the frames before and after: by ids, or by the order of
+            /// the particles if none of them moves far.
             #[value(named("SECONDS"))]
             time_step: f64 in TIME_STEP_MIN..=TIME_STEP_MAX
-                => [OptionName::new("temporal")],
-                |options, _| options.temporal.unwrap_or(0) > 0,
+                => [OptionName::new("temporal"), OptionName::with_value("attributes", "velocity")],
+                |options, _| options.temporal.unwrap_or(0) > 0 || names_velocity(options.attributes.as_ref()),
         }
         Surface {
             /// Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]

@@ -24,6 +24,7 @@ pub use reach::{FrameReach, RestAt, RestFrames};
 pub use resolution::Pairs;
 pub use values::{AnisotropyKind, AttributeSelection, ClipBox, ColumnNames, Length, LengthUnit};
 
+use crate::attributes::names_velocity;
 use crate::particles::{Attribute, LONE_RADIUS, ParticleFilter, find_attribute};
 use crate::smooth::{EIGENVALUE_MAX, SmoothSteps};
 use crate::spacing::median;
@@ -99,7 +100,7 @@ pub struct Settings {
     pub smoothing: SmoothSteps,
     /// Number of frames before and after each frame with which its surface is averaged.
     pub temporal: u32,
-    /// Seconds between two frames, for particles without ids.
+    /// Seconds between two frames, for particles without ids or without velocities.
     pub time_step: Option<f64>,
     /// The contouring method.
     pub contouring: Contouring,
@@ -270,6 +271,11 @@ impl Settings {
     #[doc(hidden)]
     pub fn spray_reach(&self) -> u32 {
         if self.spray > 0 { frames_needed(self.spray_keep) } else { 0 }
+    }
+
+    /// Whether velocities are computed for particles without them, from the frames before and after.
+    pub fn computes_velocities(&self) -> bool {
+        self.time_step.is_some() && names_velocity(self.attributes.as_ref())
     }
 
     /// Whether the surface gets attributes of the particles.

@@ -6,6 +6,8 @@
 //!                └history┘ └beside
 //! ```
 
+use crate::attributes::names_velocity;
+
 use super::{MethodOptions, SPRAY_KEEP, Settings};
 use crate::spray::frames_needed;
 
@@ -19,6 +21,10 @@ pub struct FrameReach {
 }
 
 impl FrameReach {
+    /// The options that determine it.
+    pub const OPTIONS: [&str; 7] =
+        ["temporal", "spray", "spray_keep", "rest", "rest_period", "attributes", "time_step"];
+
     /// The number of the first frame of the history of a frame, if it has one. The history ends before the frame.
     pub fn first(&self, number: i64) -> Option<i64> {
         self.rest.map(|rest| rest.at(number).first()).filter(|first| *first < number)
@@ -84,7 +90,9 @@ impl MethodOptions {
     pub fn frame_reach(&self) -> FrameReach {
         let of_spray =
             if self.has_spray() { frames_needed(self.spray_keep.unwrap_or(SPRAY_KEEP)) } else { 0 };
-        FrameReach { beside: self.temporal.unwrap_or(0).saturating_add(of_spray), rest: self.rest_frames() }
+        let averaged = self.temporal.unwrap_or(0).saturating_add(of_spray);
+        let computed = self.time_step.is_some() && names_velocity(self.attributes.as_ref());
+        FrameReach { beside: averaged.max(computed.into()), rest: self.rest_frames() }
     }
 
     /// The frames whose positions are rest coordinates.
@@ -97,7 +105,8 @@ impl Settings {
     /// The frames on which a frame depends.
     #[doc(hidden)]
     pub fn frame_reach(&self) -> FrameReach {
-        FrameReach { beside: self.temporal + self.spray_reach(), rest: self.rest }
+        let averaged = self.temporal + self.spray_reach();
+        FrameReach { beside: averaged.max(self.computes_velocities().into()), rest: self.rest }
     }
 }
 
@@ -140,6 +149,7 @@ mod tests {
             [2, 3, 4, 8, 12, 14].map(|number| reach.first(number)),
             [None, None, Some(3), Some(3), Some(3), Some(8)]
         );
-        assert!(options(&[("attributes", "all")]).frame_reach().is_none());
+        assert!(options(&[("attributes", "all"), ("time_step", "1")]).frame_reach().is_none());
+        assert_eq!(options(&[("attributes", "vel"), ("time_step", "1")]).frame_reach().beside, 1);
     }
 }

@@ -322,7 +322,7 @@ impl Settings {
             step_size: Some(self.smoothing.step_size),
             redistance_every: Some(self.smoothing.redistance_every),
             temporal: Some(self.temporal),
-            time_step: self.time_step.filter(|_| self.temporal > 0),
+            time_step: self.time_step.filter(|_| self.temporal > 0 || self.computes_velocities()),
         }
     }
 

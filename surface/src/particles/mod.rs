@@ -560,7 +560,7 @@ impl Role {
     }
 
     /// The names by which users refer to the semantic.
-    fn names(self) -> &'static [&'static str] {
+    pub(crate) fn names(self) -> &'static [&'static str] {
         match self {
             Role::Velocity => {
                 &["velocity", "velocities", "vel", "v", "particle_vel", "particle_qd", "f_v", "qd"]
