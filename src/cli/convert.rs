@@ -5,20 +5,20 @@
 //!   as given        resolved       frames and their outcomes
 //! ```
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
 use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use meniscus_formats::listed;
 
 use crate::pipeline::{
     Frame, FrameFile, FrameRecords, Job, NumberedFrames, ObstacleFiles, OnError, OutputFormat, OutputOptions,
     STATE_FOLDER, Sequence, SequenceRecord, UsdStageFrame, UsdStageSequence, check_outputs, do_agree,
-    frame_rate, output_sequence, seconds_by_motion, step_of,
+    frame_rate, output_sequence, seconds_by_motion, stage_frame_count, step_of,
 };
 use crate::surface::attributes::names_velocity;
 use crate::surface::options::{MethodOptions, Settings};
@@ -211,6 +211,10 @@ impl ConvertPlan {
         for (what, path) in &others {
             check_output_path(what, path)?;
         }
+        if let Some(stage) = &self.outputs.stage {
+            // Otherwise it would be refused after all frames are converted.
+            stage_frame_count(&stage.path).map_err(|why| anyhow!("{}: {why}", stage.path.display()))?;
+        }
         let files = selected_files(&self.selection.sequences);
         let planned: Vec<_> = files.map(|file| (file.path.clone(), file.stem())).collect();
         Ok(check_outputs(&planned, &self.selection.found, &self.obstacles, &self.outputs, &others)?)
@@ -219,25 +223,15 @@ impl ConvertPlan {
     /// Says that results of other particles of the same frames are replaced: they were made with another condition.
     fn warn_of_other_particles(&self, console: &Console) {
         let Some(records) = &self.records else { return };
-        let (done, chosen) = (records.done(), self.options.r#where.as_ref().map(ToString::to_string));
-        let mut same: Option<&str> = None;
-        let other = selected_files(&self.selection.sequences).find_map(|file| {
-            let name = file.stem();
-            let id = &*done.get(Path::new(&name))?.last()?.settings;
-            // Frames of a sequence have the same settings.
-            if same == Some(id) {
-                return None;
-            }
-            let settings = records.settings(id)?;
-            same = Some(id);
-            (settings.get("where") != chosen.as_ref()).then(|| (name, settings.get("where").cloned()))
-        });
-        if let Some((name, condition)) = other {
-            let made = condition
-                .map_or("without --where".to_owned(), |condition| format!("with --where '{condition}'"));
+        let names: HashSet<String> = selected_files(&self.selection.sequences).map(FrameFile::stem).collect();
+        let chosen = self.options.r#where.as_ref().map(ToString::to_string);
+        let other = records
+            .of_other_particles(|name| name.to_str().is_some_and(|name| names.contains(name)), &[chosen]);
+        if let Some((name, made)) = other {
             console.warning(format_args!(
-                "{name} was made {made}, and its results of the same formats are replaced: to keep both, choose another folder, or names such as --out \
-                 'out/other.####.glb'"
+                "{} was made {made}, and its results of the same formats are replaced: to keep both, choose another \
+                 folder, or names such as --out 'out/other.####.glb'",
+                name.display()
             ));
         }
     }

@@ -286,4 +286,23 @@ fn results_of_another_condition_are_replaced_with_a_warning() {
         ),
         "{warning}"
     );
+    let watched = meniscus(
+        path,
+        &[
+            "watch",
+            ".",
+            "--out",
+            "out",
+            "--pattern",
+            "f.#.csv",
+            "--once",
+            "--settle",
+            "10ms",
+            "--where",
+            "kind == 1",
+            "--spacing",
+            "0.1",
+        ],
+    );
+    assert!(watched.err.contains("f.1 was made with --where 'kind == 0'"), "{}{}", watched.out, watched.err);
 }

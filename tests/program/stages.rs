@@ -278,12 +278,12 @@ fn stages_without_anything_to_play_are_refused() {
     refused(path, &convert(&usda), &["the report and the stage would both become"]);
     assert!(!path.join("s.usda").exists());
 
-    // A file of somebody else is not replaced, and the frames are converted nevertheless.
+    // A file of somebody else is not replaced.
     fs::write(path.join("s.usda"), "#usda 1.0\n(\n    defaultPrim = \"set\"\n)\n").expect("written");
     let result = meniscus(path, &convert(&["--format", "usdc", "--stage", "s.usda"]));
-    assert_eq!(result.status, 1, "{}{}", result.out, result.err);
+    assert_eq!(result.status, 2, "{}{}", result.out, result.err);
     assert!(result.err.contains("s.usda: exists, and is not a stage of meniscus"), "{}", result.err);
-    assert!(path.join("o/dam.2.usdc").exists() && text(&path.join("s.usda")).contains("\"set\""));
+    assert!(!path.join("o/dam.2.usdc").exists() && text(&path.join("s.usda")).contains("\"set\""));
 }
 
 #[test]

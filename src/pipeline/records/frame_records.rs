@@ -575,6 +575,24 @@ impl FrameRecords {
     pub fn settings(&self, id: &str) -> Option<SettingValues> {
         self.content().settings.get(id).cloned()
     }
+
+    /// A frame whose latest results are of particles that met none of these conditions (`--where`, or `None` for all
+    /// particles), and the condition in words.
+    pub fn of_other_particles(
+        &self,
+        is_asked: impl Fn(&Path) -> bool,
+        conditions: &[Option<String>],
+    ) -> Option<(PathBuf, String)> {
+        let content = self.content();
+        content.done.iter().filter(|(name, _)| is_asked(name)).find_map(|(name, records)| {
+            let made = content.settings.get(&*records.last()?.settings)?.get("where").cloned();
+            (!conditions.contains(&made)).then(|| {
+                let words =
+                    made.map_or("without --where".to_owned(), |made| format!("with --where '{made}'"));
+                (name.clone(), words)
+            })
+        })
+    }
 }
 
 impl ResultState {
