@@ -14,7 +14,7 @@ use crate::pipeline::{
     check_out_folder, content, content_with, entry_key, file_of, files_in, files_joined_by, frames_in,
     is_absent, is_level_set, is_mesh, is_named_list, is_number, is_sequence_file, is_spray, may_be_file,
     promises_particles, refuse_foreign, shown, single_frame_sequences, single_frames_note, size_bytes,
-    stage_frame_count, step_of,
+    step_of,
 };
 use crate::surface::options::{ColumnNames, MethodOptions};
 

@@ -118,7 +118,16 @@ pub(crate) use memory::reading_limits;
 pub use memory::{default_memory_bytes, limit_reading, resident_memory_bytes};
 pub use method::ScratchFile;
 pub use observer::Observer;
+pub use output::picture_file::{camera_of_picture, read_picture};
+pub use output::sequence_file::{
+    SEQUENCE_POINTS, SequenceError, SequenceFormat, SequenceReport, SequenceSource, check_sequence_path,
+    common_step, is_sequence_file, write_sequence_file,
+};
 pub use output::spray_files::points_of as spray_points;
+pub(crate) use output::usd_stage::USD_STAGE_FRAMES;
+pub use output::usd_stage::{
+    UsdStageFrame, UsdStageReport, UsdStageSequence, next_stage_update, stage_frame_count, write_stage,
+};
 pub use output::writing::{encode_level_set, mesh_view, vertex_attributes};
 pub use reconstruct::{LoadedFrame, Reconstruction};
 pub use records::content::{SniffedContent, content, content_with, is_spray, spray_beside};
@@ -127,7 +136,6 @@ pub use records::frame_records::{
     FrameRecords, LatestRecords, OutputComparison, RecordedFrame, ResultState, STATE_FOLDER, SettingValues,
     Wanted, settings_id,
 };
-pub use records::picture_file::{camera_of_picture, read_picture};
 pub use records::provenance::{
     CAMERA, GENERATOR_AND_VERSION, SheetPart, are_particles, is_own_output, picture_provenance,
     sheet_provenance,
@@ -138,14 +146,6 @@ pub use records::record::{RunRecord, SequenceRecord};
 pub use records::record_line::{
     ChangedOutput, DaemonRecord, DaemonState, DoneRecord, OutputFile, RecordLine, SequenceCamera,
     SequenceKey, SharedSettings, UnfinishedRecord, UnfinishedState,
-};
-pub use records::sequence_file::{
-    SEQUENCE_POINTS, SequenceError, SequenceFormat, SequenceReport, SequenceSource, check_sequence_path,
-    common_step, is_sequence_file, write_sequence_file,
-};
-pub(crate) use records::usd_stage::USD_STAGE_FRAMES;
-pub use records::usd_stage::{
-    UsdStageFrame, UsdStageReport, UsdStageSequence, next_stage_update, stage_frame_count, write_stage,
 };
 pub use stages::{OnError, PipelineOptions, default_in_flight, run, stream};
 pub use target::close_up::close_up;

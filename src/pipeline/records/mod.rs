@@ -7,8 +7,6 @@
 //!   known_records     what these files say               figures           measurements in a record
 //!   reason            why a frame is in its state        content           frames, outputs and other files
 //!   record            the report of a run                frame_warnings    warnings from measurements
-//!   sequence_file     all frames in one file             usd_stage         plays the files of the frames
-//!   picture_file      reads pictures from .png
 //! ```
 
 pub(super) mod content;
@@ -16,11 +14,8 @@ pub(super) mod figures;
 pub(super) mod frame_records;
 pub(super) mod frame_warnings;
 mod known_records;
-pub(super) mod picture_file;
 pub(super) mod provenance;
 pub(super) mod reason;
 pub(super) mod record;
 mod record_file;
 pub(super) mod record_line;
-pub(super) mod sequence_file;
-pub(super) mod usd_stage;

@@ -22,13 +22,13 @@ use std::time::{Duration, Instant};
 use meniscus_formats::usda::{ClipFile, SampledProperty, StageClips, UsdStage, stage_text};
 use meniscus_formats::{PointFormat, is_complete, read_provenance, usda, usdc, vdb};
 
-use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use super::sequence_file::{SequenceError, increasing};
 use crate::pipeline::files::atomic_write::write_atomically;
 use crate::pipeline::files::frame_number::natural_order;
 use crate::pipeline::files::identity::real_path;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::memory::reading_limits;
+use crate::pipeline::records::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use crate::pipeline::target::outputs::{
     OutputFormat, OutputOptions, UsdStageOptions, output_path, spray_path,
 };

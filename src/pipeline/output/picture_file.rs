@@ -8,10 +8,10 @@ use meniscus_formats::{OutputFormat, read_provenance};
 
 use crate::render::Picture;
 
-use super::provenance::{CAMERA, HEAD_BYTES, SHEET};
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::input::reading::read_file;
+use crate::pipeline::records::provenance::{CAMERA, HEAD_BYTES, SHEET};
 
 /// Reads the colours of a picture, without transparency.
 ///

@@ -29,13 +29,13 @@ use meniscus_formats::{
     usdc,
 };
 
-use super::content::{SprayOfMesh, spray_of};
-use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use crate::pipeline::files::atomic_write::{sync_while, write_atomically};
 use crate::pipeline::files::identity::are_same_file;
 use crate::pipeline::files::open::{open_regular, read_regular};
 use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::memory::reading_limits;
+use crate::pipeline::records::content::{SprayOfMesh, spray_of};
+use crate::pipeline::records::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use crate::surface::words::pluralize;
 
 /// A format of sequence files.
