@@ -74,8 +74,8 @@ pub enum Error {
     MemoryLimit {
         /// What needs the memory, such as "reading the file".
         what: String,
-        /// The required memory in MiB, rounded up.
-        needed_mebibytes: u64,
+        /// The required memory in MiB, rounded up; `None` if it is only known to be more than the limit.
+        needed_mebibytes: Option<u64>,
         /// The limit in MiB, rounded down.
         limit_mebibytes: u64,
     },
@@ -161,10 +161,13 @@ impl fmt::Display for Error {
             Error::Unsupported { format: "", what } => f.write_str(what),
             Error::Unsupported { format, what } => write!(f, "{format}: {what}"),
             Error::TooLarge { format, what } => write!(f, "{format}: {what}"),
-            Error::MemoryLimit { what, needed_mebibytes: needed, limit_mebibytes: limit } => write!(
+            Error::MemoryLimit { what, needed_mebibytes: Some(needed), limit_mebibytes: limit } => write!(
                 f,
                 "{what} needs {needed} MiB of memory, and the limit is {limit} MiB: use --memory {needed}MiB or more"
             ),
+            Error::MemoryLimit { what, needed_mebibytes: None, limit_mebibytes: limit } => {
+                write!(f, "{what} needs more than {limit} MiB of memory, the limit: use a larger --memory")
+            }
         }
     }
 }

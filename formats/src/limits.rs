@@ -78,8 +78,11 @@ impl Limits {
 
     /// The maximum decompressed size of `compressed` bytes.
     pub(crate) fn decompressed_bytes_of(&self, compressed: u64) -> u64 {
-        let by_ratio = compressed.saturating_mul(self.decompression_ratio).saturating_add(RATIO_FREE_BYTES);
-        by_ratio.min(self.memory_bytes)
+        self.bytes_by_ratio(compressed).min(self.memory_bytes)
+    }
+
+    fn bytes_by_ratio(&self, compressed: u64) -> u64 {
+        compressed.saturating_mul(self.decompression_ratio).saturating_add(RATIO_FREE_BYTES)
     }
 
     /// Fails if `what`, such as "the level set with its picture", needs more memory than the limit.
@@ -87,15 +90,10 @@ impl Limits {
     /// # Errors
     /// [`Error::MemoryLimit`] with the required amount.
     pub fn check_memory(&self, needed_bytes: u64, what: &str) -> Result<()> {
-        const MEBIBYTE: u64 = 1 << 20;
         if needed_bytes <= self.memory_bytes {
             return Ok(());
         }
-        Err(Error::MemoryLimit {
-            what: what.to_owned(),
-            needed_mebibytes: needed_bytes.div_ceil(MEBIBYTE),
-            limit_mebibytes: self.memory_bytes / MEBIBYTE,
-        })
+        Err(self.memory_limit(what, Some(needed_bytes.div_ceil(MEBIBYTE))))
     }
 
     /// Fails if `decompressed` bytes from `consumed` compressed bytes exceed a limit. `format` is
@@ -106,14 +104,27 @@ impl Limits {
         decompressed: u64,
         consumed: u64,
     ) -> Result<()> {
-        self.check_memory(decompressed, "reading the file")?;
-        if decompressed > self.decompressed_bytes_of(consumed) {
+        if decompressed > self.bytes_by_ratio(consumed) {
             let most = self.decompression_ratio;
             return Err(Error::too_large(
                 format,
                 format!("the data expands to more than {most} times its compressed size, the limit"),
             ));
         }
+        // More may follow.
+        if decompressed > self.memory_bytes {
+            return Err(self.memory_limit("reading the file", None));
+        }
         Ok(())
     }
+
+    fn memory_limit(&self, what: &str, needed_mebibytes: Option<u64>) -> Error {
+        Error::MemoryLimit {
+            what: what.to_owned(),
+            needed_mebibytes,
+            limit_mebibytes: self.memory_bytes / MEBIBYTE,
+        }
+    }
 }
+
+const MEBIBYTE: u64 = 1 << 20;

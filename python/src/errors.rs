@@ -41,12 +41,12 @@ pub(crate) fn of_format(path: &Path, failure: meniscus_formats::Error) -> PyErr 
     match failure {
         meniscus_formats::Error::Io(failure) => of_io(path, &failure),
         meniscus_formats::Error::MemoryLimit { what, needed_mebibytes, limit_mebibytes } => {
-            MemoryLimitError::new_err(format!(
-                "{}: {what} needs {needed_mebibytes} MiB of memory, and the limit is {limit_mebibytes} \
-                 MiB: raise {}",
-                path.display(),
-                keyword(OptionName::new("memory"))
-            ))
+            let needed = needed_mebibytes.map_or_else(
+                || format!("more than {limit_mebibytes} MiB of memory, the limit"),
+                |needed| format!("{needed} MiB of memory, and the limit is {limit_mebibytes} MiB"),
+            );
+            let option = keyword(OptionName::new("memory"));
+            MemoryLimitError::new_err(format!("{}: {what} needs {needed}: raise {option}", path.display()))
         }
         other => FormatError::new_err(format!("{}: {other}", path.display())),
     }

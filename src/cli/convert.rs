@@ -17,8 +17,8 @@ use meniscus_formats::listed;
 
 use crate::pipeline::{
     Frame, FrameFile, FrameRecords, Job, NumberedFrames, ObstacleFiles, OnError, OutputFormat, OutputOptions,
-    STATE_FOLDER, Sequence, SequenceRecord, UsdStageFrame, UsdStageSequence, check_outputs, do_agree,
-    frame_rate, output_sequence, seconds_by_motion, stage_frame_count, step_of,
+    STATE_FOLDER, Sequence, SequenceRecord, UsdStageFrame, UsdStageSequence, check_outputs, frame_rate,
+    is_same_time, output_sequence, seconds_by_motion, stage_frame_count, step_of,
 };
 use crate::surface::attributes::names_velocity;
 use crate::surface::options::{MethodOptions, Settings};
@@ -223,10 +223,10 @@ impl ConvertPlan {
     /// Says that results of other particles of the same frames are replaced: they were made with another condition.
     fn warn_of_other_particles(&self, console: &Console) {
         let Some(records) = &self.records else { return };
-        let names: HashSet<String> = selected_files(&self.selection.sequences).map(FrameFile::stem).collect();
+        let names: HashSet<PathBuf> =
+            selected_files(&self.selection.sequences).map(|file| file.stem().into()).collect();
         let chosen = self.options.r#where.as_ref().map(ToString::to_string);
-        let other = records
-            .of_other_particles(|name| name.to_str().is_some_and(|name| names.contains(name)), &[chosen]);
+        let other = records.of_other_particles(|record| names.contains(&record.name), chosen.as_ref());
         if let Some((name, made)) = other {
             console.warning(format_args!(
                 "{} was made {made}, and its results of the same formats are replaced: to keep both, choose another \
@@ -239,26 +239,36 @@ impl ConvertPlan {
     /// Warns if particles with velocities move as at another frame rate than that of the stage or the sequence files.
     fn warn_of_frame_rate(&self, sequence: &Sequence, settings: &Settings, console: &Console) {
         let is_played = self.outputs.stage.is_some() || self.sequence_files.paths().next().is_some();
-        if !is_played || !names_velocity(settings.attributes.as_ref()) {
-            return;
-        }
-        let fps = self.sequence_files.fps();
         let middle = sequence.frames.len() / 2;
-        let Some([from, to]) = sequence.frames.get(middle.saturating_sub(1)..=middle) else { return };
-        let Some(frames) = from.number().zip(to.number()).map(|(from, to)| (to - from) as f64) else {
+        let frames =
+            sequence.frames.get(middle.saturating_sub(1)..).and_then(|frames| frames.first_chunk::<3>());
+        let Some(frames) = frames.filter(|_| is_played && names_velocity(settings.attributes.as_ref()))
+        else {
+            return;
+        };
+        let [Some(before), Some(own), Some(after)] = frames.each_ref().map(FrameFile::number) else { return };
+        let Some(step) =
+            own.checked_sub(before).filter(|step| *step > 0 && own.checked_add(*step) == Some(after))
+        else {
             return;
         };
         // Frames that cannot be read fail later.
-        let Ok(Some(seconds)) = seconds_by_motion([&from.path, &to.path], settings) else { return };
-        if !do_agree(seconds, frames / fps) {
-            console.warning(format_args!(
-                "{}: by their velocities and ids, the particles move as at {} frames per second, and --fps is {fps}: give \
-                 --fps, or --velocity-scale {} if the velocities have another unit of time",
-                sequence.name,
-                significant(frames / seconds),
-                significant(settings.velocity_scale * seconds * fps / frames)
-            ));
-        }
+        let paths = frames.each_ref().map(|frame| &*frame.path);
+        let measured = seconds_by_motion(paths, settings).ok().flatten().or(settings.time_step);
+        let fps = self.sequence_files.fps();
+        // A .glb shows frame after frame, whatever their numbers.
+        let is_timed = self.outputs.stage.is_some() || !self.sequence_files.are_glb();
+        let step = if is_timed { step as f64 } else { 1.0 };
+        let Some(seconds) = measured.filter(|seconds| !is_same_time(*seconds, step / fps)) else {
+            return;
+        };
+        console.warning(format_args!(
+            "{}: by their velocities, or by --time-step, the particles move as at {} frames per second, and they are shown \
+             at {fps}: give --fps, or --velocity-scale {} if the velocities of the files have another unit of time",
+            sequence.name,
+            significant(step / seconds),
+            significant(settings.velocity_scale * seconds * fps / step)
+        ));
     }
 
     /// Converts the frames, and combines them into sequence files.

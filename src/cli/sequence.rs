@@ -160,6 +160,11 @@ impl SequenceOutputs {
         self.fps
     }
 
+    /// Whether all of them are `.glb`.
+    pub(super) fn are_glb(&self) -> bool {
+        self.files.iter().all(|(_, format)| *format == SequenceFormat::Glb)
+    }
+
     /// The files.
     pub(super) fn paths(&self) -> impl Iterator<Item = &Path> {
         self.files.iter().map(|(path, _)| &**path)

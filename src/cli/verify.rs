@@ -130,18 +130,22 @@ fn recorded_frames(records: &FrameRecords) -> BTreeMap<PathBuf, KnownFrame> {
 /// Adds the frames of these inputs. The paths of inputs replace those in the records, because inputs may have
 /// been moved.
 fn add_inputs(frames: &mut BTreeMap<PathBuf, KnownFrame>, files: Vec<FrameFile>) {
-    let mut name_of: HashMap<PathBuf, PathBuf> =
-        frames.iter().map(|(name, frame)| (frame.input.clone(), name.clone())).collect();
+    // An input may have been converted under several names, with other settings each.
+    let mut names_of: HashMap<PathBuf, Vec<PathBuf>> = HashMap::new();
+    for (name, frame) in &*frames {
+        names_of.entry(frame.input.clone()).or_default().push(name.clone());
+    }
     let mut given = HashSet::new();
     for file in sequences(files).into_iter().flat_map(|sequence| sequence.frames) {
         let input = absolute(&file.path).unwrap_or_else(|_| file.path.clone());
-        let mut name = name_of.remove(&input).unwrap_or_else(|| file.stem().into());
-        // Of several inputs with the same outputs, the first one is converted, and the others are missing.
-        if !given.insert(name.clone()) {
-            name.clone_from(&file.path);
+        for mut name in names_of.remove(&input).unwrap_or_else(|| vec![file.stem().into()]) {
+            // Of several inputs with the same outputs, the first one is converted, and the others are missing.
+            if !given.insert(name.clone()) {
+                name.clone_from(&file.path);
+            }
+            let records = frames.remove(&name).map_or_else(Vec::new, |known| known.records);
+            frames.insert(name, KnownFrame { input: input.clone(), records, is_given: true });
         }
-        let records = frames.remove(&name).map_or_else(Vec::new, |known| known.records);
-        frames.insert(name, KnownFrame { input, records, is_given: true });
     }
 }
 
@@ -159,17 +163,32 @@ struct WantedSettings {
     history: Vec<AroundFrame>,
 }
 
-/// The settings that each frame should have, by input: those with which most frames of its sequence were
-/// converted, and of several such settings the latest ones.
+/// The settings that each frame should have, by name: those with which most frames of its sequence were converted under
+/// such names, and of several such settings the latest ones.
 fn current_settings(
     frames: &BTreeMap<PathBuf, KnownFrame>,
     records: &FrameRecords,
 ) -> HashMap<PathBuf, WantedSettings> {
+    let mut series: BTreeMap<String, Vec<(&PathBuf, &KnownFrame)>> = BTreeMap::new();
+    for (name, frame) in frames {
+        let without_digits = name.to_string_lossy().replace(|letter: char| letter.is_ascii_digit(), "");
+        series.entry(without_digits).or_default().push((name, frame));
+    }
+    series.into_values().flat_map(|frames| settings_of_series(&frames, records)).collect()
+}
+
+/// Those of frames whose names differ by their numbers.
+fn settings_of_series(
+    frames: &[(&PathBuf, &KnownFrame)],
+    records: &FrameRecords,
+) -> HashMap<PathBuf, WantedSettings> {
+    let all = || frames.iter().map(|(_, frame)| frame);
     let recorded: HashMap<&Path, &[Arc<DoneRecord>]> =
-        frames.values().map(|frame| (&*frame.input, &*frame.records)).collect();
-    let given: HashSet<&Path> =
-        frames.values().filter(|frame| frame.is_given).map(|frame| &*frame.input).collect();
-    let inputs = frames.values().map(|frame| FrameFile::new(frame.input.clone())).collect();
+        all().map(|frame| (&*frame.input, &*frame.records)).collect();
+    let given: HashSet<&Path> = all().filter(|frame| frame.is_given).map(|frame| &*frame.input).collect();
+    let inputs = all().map(|frame| FrameFile::new(frame.input.clone())).collect();
+    let name_of: HashMap<&Path, &PathBuf> =
+        frames.iter().map(|(name, frame)| (&*frame.input, *name)).collect();
     let mut settings = HashMap::new();
     for sequence in sequences(inputs) {
         // The number of frames, and the time of the latest.
@@ -200,7 +219,7 @@ fn current_settings(
             let is_history = |frame: &&AroundFrame| frame.steps.unsigned_abs() > beside;
             let history = of_all.iter().filter(is_history).cloned().collect();
             (
-                file.path.clone(),
+                name_of[&*file.path].clone(),
                 WantedSettings {
                     id: current.to_owned(),
                     has_values: values.is_some(),
@@ -241,7 +260,7 @@ fn verify_frame(
     };
     let none = WantedSettings::default();
     let WantedSettings { id: settings_id, has_values, around, beside, history } =
-        settings.get(&input).unwrap_or(&none);
+        settings.get(&name).unwrap_or(&none);
     let hash_of = |frame: &AroundFrame| hashes.get(&frame.path)?.as_ref().ok().copied();
     // Obstacles are not read here.
     let around = around.iter().map(|frame| frame.recorded(hash_of(frame), "")).collect();

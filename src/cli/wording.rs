@@ -3,11 +3,9 @@
 use std::fmt;
 use std::time::Duration;
 
-use meniscus_formats::AttributeRole;
-use meniscus_formats::columns::aliases;
-
 use crate::pipeline::{FrameReport, FrameWarning, InputWarning, Job, ParticleSize, SurfaceWarning, Warning};
 use crate::surface::options::Start;
+use crate::surface::particles::Role;
 pub(in crate::cli) use crate::surface::words::{pluralize, rounded_down, shortest, significant};
 
 /// Lines that were printed more than this many frames ago have probably scrolled out of view.
@@ -100,7 +98,7 @@ fn remedy(warning: &Warning) -> Option<String> {
             "write `id` with the particles, or `velocity`, and give --time-step".to_owned()
         }
         Warning::Input(InputWarning::NotComputed { .. }) => COMPUTED_VELOCITIES.to_owned(),
-        Warning::Input(InputWarning::MissingAttribute { name, .. }) if is_velocity(name) => {
+        Warning::Input(InputWarning::MissingAttribute { name, .. }) if Role::Velocity.has_name(name) => {
             COMPUTED_VELOCITIES.to_owned()
         }
         Warning::Input(InputWarning::OtherTimeStep { velocity_scale, .. }) => format!(
@@ -138,11 +136,7 @@ fn remedy(warning: &Warning) -> Option<String> {
     })
 }
 
-const COMPUTED_VELOCITIES: &str = "--time-step SECONDS, the time from one frame to the next, computes velocities from the ids of the particles";
-
-fn is_velocity(name: &str) -> bool {
-    aliases(AttributeRole::Velocity).iter().any(|known| name.eq_ignore_ascii_case(known))
-}
+const COMPUTED_VELOCITIES: &str = "--time-step SECONDS, the time from one frame to the next, computes velocities from the frames before and after";
 
 /// How to transfer the particles' velocities to the outputs.
 pub(super) fn velocity_hint(name: &str) -> String {

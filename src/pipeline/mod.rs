@@ -94,7 +94,7 @@ pub use input::conflicts::check_outputs;
 pub use input::container::files_joined_by;
 pub use input::filter::keep_chosen;
 pub use input::frame::{Frame, FrameReport, InputState, Job, Outcome, Seconds};
-pub use input::frame_rate::{do_agree, frame_rate, seconds_by_motion};
+pub use input::frame_rate::{frame_rate, is_same_time, seconds_by_motion};
 pub use input::level_set_file::{LevelSetFile, is_level_set};
 pub(crate) use input::measured_spacing::{Attempt, measure_sequence};
 pub use input::measured_spacing::{MeasuredSpacing, NoSpacing, measure_spacing, measured_by, preset_warning};

@@ -88,6 +88,8 @@ pub enum InputWarning {
     NotFollowed,
     /// The velocities of the particles cannot be computed: they cannot be found in the frames before and after.
     VelocitiesNotComputed,
+    /// The same, because there is no such frame.
+    NoFrameBeside,
     /// The particles have no ids, and were found in the frames before and after by their order.
     FollowedByOrder,
     /// The particles move as if frames were this far apart, and another time is given, in seconds. With this velocity
@@ -355,9 +357,12 @@ impl fmt::Display for InputWarning {
                  and no velocities with a time step, by which they could be followed",
             ),
             InputWarning::VelocitiesNotComputed => f.write_str(
-                "velocities are not computed: no frame before or after has particles with the same ids, or as many in the same \
-                 order",
+                "velocities are not computed: the frames before and after have no particles with the same ids, nor as many in \
+                 the same order",
             ),
+            InputWarning::NoFrameBeside => {
+                f.write_str("velocities are not computed: there is no frame with the number before or after")
+            }
             InputWarning::FollowedByOrder => f.write_str(
                 "the particles have no ids: their velocities are computed as if all frames had them in the same order",
             ),

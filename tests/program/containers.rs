@@ -272,7 +272,9 @@ fn reading_keeps_to_the_memory_limit() {
     let refused = convert("4MiB");
     assert_ne!(refused.status, 0, "{}", refused.out);
     assert!(
-        refused.err.contains("reading the file needs 5 MiB of memory, and the limit is 4 MiB"),
+        refused
+            .err
+            .contains("reading the file needs more than 4 MiB of memory, the limit: use a larger --memory"),
         "{}",
         refused.err
     );

@@ -294,7 +294,7 @@ fn results_of_another_condition_are_replaced_with_a_warning() {
             "--out",
             "out",
             "--pattern",
-            "f.#.csv",
+            "f.*.csv",
             "--once",
             "--settle",
             "10ms",
@@ -305,4 +305,27 @@ fn results_of_another_condition_are_replaced_with_a_warning() {
         ],
     );
     assert!(watched.err.contains("f.1 was made with --where 'kind == 0'"), "{}{}", watched.out, watched.err);
+}
+
+#[test]
+fn results_of_several_conditions_under_their_own_names_are_up_to_date() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    for frame in 1..=2 {
+        let rows: String =
+            block(6, 0.1).iter().map(|[x, y, z]| format!("{x},{y},{z},{}\n", i32::from(*x > 0.2))).collect();
+        fs::write(path.join(format!("f.{frame}.csv")), format!("x,y,z,kind\n{rows}")).expect("written");
+    }
+    for (name, condition) in [("solid", "kind == 0"), ("fluid", "kind == 1")] {
+        let out = format!("out/{name}.####.obj");
+        let typed =
+            ["convert", "f.1.csv", "f.2.csv", "--out", &out, "--spacing", "0.1", "--where", condition];
+        let result = meniscus(path, &typed);
+        assert_eq!(result.status, 0, "{}", result.err);
+    }
+    for input in [&[][..], &["--input", "f.1.csv", "--input", "f.2.csv"]] {
+        let result = meniscus(path, &[&["verify", "out"], input].concat());
+        assert_eq!(result.status, 0, "{}{}", result.out, result.err);
+        assert!(result.out.contains("4 frames: 4 done"), "{}", result.out);
+    }
 }

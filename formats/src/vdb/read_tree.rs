@@ -61,7 +61,7 @@ pub(super) struct TreeSize {
 }
 
 impl TreeSize {
-    /// A clause of a message, between commas.
+    /// What it is, for messages.
     pub(super) fn described(self) -> String {
         format!("the level set, with {} leaves and {} tiles,", self.leaf_count, self.tile_count)
     }

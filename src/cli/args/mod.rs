@@ -505,7 +505,7 @@ option_set! {
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(super) settle: Option<Duration>,
 
-        /// With --temporal, --spray or --rest: how long a frame waits for the frames on which it depends; then it is
+        /// With --temporal, --spray, --rest or --time-step: how long a frame waits for the frames on which it depends; then it is
         /// converted without the missing ones, and again when they come [default: 30s]
         #[arg(long, value_name = "TIME", value_parser = parse_duration)]
         pub(super) temporal_wait: Option<Duration>,

@@ -1,5 +1,5 @@
 //! The frames before and after a frame on which its surface depends: with which it is averaged (`--temporal`), which say
-//! what is spray (`--spray`), and from which its particles come (`--rest`).
+//! what is spray (`--spray`), from which its particles come (`--rest`), and from which their velocities follow (`--time-step`).
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap};

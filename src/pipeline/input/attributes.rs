@@ -91,8 +91,9 @@ impl RequiredAttribute {
 impl AttributeRequest {
     /// The attributes that a frame requires.
     pub(crate) fn for_frame(frame: &Frame) -> AttributeRequest {
-        let request = AttributeRequest::for_settings(&frame.settings);
-        AttributeRequest { follows: frame.is_averaged() || request.computes_velocities, ..request }
+        let computes_velocities = frame.settings.computes_velocities();
+        let follows = frame.is_averaged() || computes_velocities;
+        AttributeRequest { follows, computes_velocities, ..AttributeRequest::for_settings(&frame.settings) }
     }
 
     /// The attributes that these settings require.
@@ -119,8 +120,7 @@ impl AttributeRequest {
         }
         AttributeRequest {
             selected: settings.attributes.clone(),
-            follows: settings.temporal > 0 || settings.computes_velocities(),
-            computes_velocities: settings.computes_velocities(),
+            follows: settings.temporal > 0,
             keeps_all: settings.spray > 0,
             ..request
         }
@@ -222,8 +222,7 @@ impl AttributeRequest {
             .collect();
         let is_known = |name: &String| {
             all.iter().any(|attribute| attribute.matches(name))
-                || self.computes_velocities
-                    && aliases(AttributeRole::Velocity).contains(&&*name.to_lowercase())
+                || self.computes_velocities && Role::Velocity.has_name(name)
                 || computed.iter().any(|computed| name.eq_ignore_ascii_case(computed.name()))
         };
         for name in named.iter().filter(|name| !is_known(name)) {

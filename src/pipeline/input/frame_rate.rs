@@ -7,7 +7,7 @@ use super::reading::{parse_particles, read_file};
 use super::steps::times_of_steps;
 use crate::pipeline::error::FrameError;
 use crate::pipeline::target::outputs::FRAME_RATES;
-use crate::surface::attributes::seconds_between;
+use crate::surface::attributes::time_between;
 use crate::surface::options::Settings;
 use crate::surface::particles::ParticleCloud;
 
@@ -36,20 +36,21 @@ fn rate_of(times: &[(i64, f64)]) -> Option<f64> {
     is_rate.then_some(rate)
 }
 
-/// The seconds between two frames, if their particles have ids and velocities: see [`seconds_between`].
+/// The seconds from a frame to the next, by these three frames: see [`time_between`].
 ///
 /// # Errors
 /// When a frame cannot be read.
-pub fn seconds_by_motion(frames: [&Path; 2], settings: &Settings) -> Result<Option<f64>, FrameError> {
+pub fn seconds_by_motion(frames: [&Path; 3], settings: &Settings) -> Result<Option<f64>, FrameError> {
     let particles = |path: &Path| -> Result<ParticleCloud, FrameError> {
         Ok(parse_particles(path, &read_file(path)?, &AttributeRequest::to_follow(&settings.reading))?.cloud)
     };
-    let [from, to] = frames;
-    Ok(seconds_between(&particles(from)?, &particles(to)?, settings.velocity_scale))
+    let [before, own, after] = frames;
+    let time = time_between(&particles(before)?, &particles(own)?, &particles(after)?);
+    Ok(time.map(|time| time / settings.velocity_scale))
 }
 
-/// Whether two times between frames are the same but for the accelerations of particles.
-pub fn do_agree(measured: f64, given: f64) -> bool {
+/// Whether two times between frames are the same, as far as the motion of particles shows.
+pub fn is_same_time(measured: f64, given: f64) -> bool {
     (0.8..=1.25).contains(&(measured / given))
 }
 

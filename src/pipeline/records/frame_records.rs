@@ -576,22 +576,24 @@ impl FrameRecords {
         self.content().settings.get(id).cloned()
     }
 
-    /// A frame whose latest results are of particles that met none of these conditions (`--where`, or `None` for all
-    /// particles), and the condition in words.
+    /// The first frame by name whose latest results are of particles that met another condition (`--where`, or `None` for
+    /// all particles), and that condition in words.
     pub fn of_other_particles(
         &self,
-        is_asked: impl Fn(&Path) -> bool,
-        conditions: &[Option<String>],
+        is_asked: impl Fn(&DoneRecord) -> bool,
+        condition: Option<&String>,
     ) -> Option<(PathBuf, String)> {
         let content = self.content();
-        content.done.iter().filter(|(name, _)| is_asked(name)).find_map(|(name, records)| {
-            let made = content.settings.get(&*records.last()?.settings)?.get("where").cloned();
-            (!conditions.contains(&made)).then(|| {
+        let others = content.done.values().filter_map(|records| {
+            let record = records.last().filter(|record| is_asked(record))?;
+            let made = content.settings.get(&*record.settings)?.get("where");
+            (made != condition).then(|| {
                 let words =
                     made.map_or("without --where".to_owned(), |made| format!("with --where '{made}'"));
-                (name.clone(), words)
+                (record.name.clone(), words)
             })
-        })
+        });
+        others.min()
     }
 }
 

@@ -93,7 +93,10 @@ pub(super) fn rasterize_stage(
     let scratch = &frame.outputs.folder;
     let moving = match &input {
         FrameInput::InMemory(cloud) if frame.is_averaged() => {
-            Some(MovingParticles::of(cloud.positions.clone(), &cloud.attributes))
+            let mut moving = MovingParticles::of(cloud.positions.clone(), &cloud.attributes);
+            // Frames around that are read alone have none either.
+            moving.velocities.take_if(|_| info.noted.has_computed_velocities);
+            Some(moving)
         }
         _ => None,
     };

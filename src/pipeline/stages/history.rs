@@ -88,6 +88,8 @@ pub(super) struct HistoryNotes {
     pub(super) warnings: Vec<Warning>,
     /// The frames that could not be read, and may be at the next attempt: by how many frames each is later.
     pub(super) unread: Vec<i32>,
+    /// Whether the velocities are not those of the file.
+    pub(super) has_computed_velocities: bool,
 }
 
 impl StageContext<'_> {

@@ -303,6 +303,8 @@ struct InputNotes {
     spray: Option<Spray>,
     /// The frames around that could not be read, and may be at the next attempt: by how many frames each is later.
     unread: Vec<i32>,
+    /// Whether the velocities of the particles are not those of the file.
+    has_computed_velocities: bool,
 }
 
 /// The result of reading.

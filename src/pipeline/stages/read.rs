@@ -204,7 +204,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                     let particles = particles.chosen_by(wanted.reading.filter.as_ref()).map_err(failed)?;
                     let warnings = [particles.warnings().map_err(failed)?, left_out_warnings].concat();
                     let unused_velocity = particles.unused_velocity();
-                    let noted = InputNotes { warnings, unused_velocity, spray: None, unread: Vec::new() };
+                    let noted = InputNotes { warnings, unused_velocity, ..InputNotes::default() };
                     Ok((FrameInput::OnDisk(Box::new(particles)), noted))
                 };
                 return self.parse_and_plan(order, frame, choose, (obstacles, around), input);
@@ -218,7 +218,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             drop(bytes);
             let mut notes = shared.follow_back(&mut read.cloud, (&given, hash), &others);
             shared.complete_velocities(&mut read.cloud, &given, &others, &mut notes);
-            let HistoryNotes { warnings: of_history, mut unread } = notes;
+            let HistoryNotes { warnings: of_history, mut unread, has_computed_velocities } = notes;
             let ParticleCloud { positions, attributes, .. } = &mut read.cloud;
             add_computed(positions, attributes, &given.settings);
             let mut warnings = [read.warnings, left_out_warnings, of_history].concat();
@@ -229,7 +229,8 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             warnings.extend(failures.iter().map(|(_, error)| not_averaged(error)));
             let may_be_read = failures.iter().filter(|(_, error)| !is_of_content(&error.cause, ""));
             unread.extend(may_be_read.map(|(steps, _)| *steps));
-            let noted = InputNotes { warnings, unused_velocity: read.unused_velocity, spray, unread };
+            let unused_velocity = read.unused_velocity;
+            let noted = InputNotes { warnings, unused_velocity, spray, unread, has_computed_velocities };
             Ok((FrameInput::InMemory(fluid), noted))
         };
         self.parse_and_plan(order, frame, parse, (obstacles, around), input)
@@ -329,8 +330,8 @@ fn unreadable(frame: &Frame, error: impl Into<meniscus_formats::Error>) -> Outco
 /// The memory for reading a file, as a multiple of its size: its bytes, and the parsed data.
 fn reading_memory(frame: &Frame) -> u64 {
     match frame.job {
-        // Both frames beside it are read and parsed.
-        Job::Surface if frame.settings.computes_velocities() => 6,
+        // Both frames beside it are read and parsed, and their particles are found by their ids.
+        Job::Surface if frame.settings.computes_velocities() => 12,
         // The parsed data include all attributes, and are divided; or a frame around is read and parsed beside them.
         Job::Surface if frame.settings.spray > 0 || frame.settings.frame_reach().has_history() => 4,
         Job::Surface => 2,

@@ -4,9 +4,9 @@
 use crate::pipeline::input::around::{FoundFrame, not_averaged};
 use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame::Frame;
-use crate::pipeline::input::frame_rate::do_agree;
+use crate::pipeline::input::frame_rate::is_same_time;
 use crate::pipeline::warning::{InputWarning, Warning};
-use crate::surface::attributes::{Followed, add_velocities, seconds_between};
+use crate::surface::attributes::{FoundBy, add_velocities, time_between};
 use crate::surface::particles::ParticleCloud;
 
 use super::StageContext;
@@ -43,24 +43,21 @@ impl StageContext<'_> {
         }
         let [before, after] = &beside;
         let warning = if cloud.find_attribute("velocity", 3).is_none() {
+            notes.has_computed_velocities = true;
             match add_velocities(cloud, [before.as_ref(), after.as_ref()], settings) {
-                Some(Followed::ById) => None,
-                Some(Followed::ByOrder) => Some(InputWarning::FollowedByOrder),
+                Some(FoundBy::Ids) => None,
+                Some(FoundBy::Order) => Some(InputWarning::FollowedByOrder),
+                None if around.is_empty() => Some(InputWarning::NoFrameBeside),
                 None => Some(InputWarning::VelocitiesNotComputed),
             }
         } else {
-            let scale = settings.velocity_scale;
-            let measured = match (before, after) {
-                (_, Some(after)) => seconds_between(cloud, after, scale),
-                (Some(before), None) => seconds_between(before, cloud, scale),
-                (None, None) => None,
-            };
-            measured.filter(|measured| !do_agree(*measured, seconds)).map(|measured| {
-                InputWarning::OtherTimeStep {
-                    measured,
-                    given: seconds,
-                    velocity_scale: scale * measured / seconds,
-                }
+            let pair = before.as_ref().zip(after.as_ref());
+            let time = pair.and_then(|(before, after)| time_between(before, cloud, after));
+            let measured = time.map(|time| time / settings.velocity_scale);
+            let is_other = |measured: &f64| !is_same_time(*measured, seconds);
+            measured.filter(is_other).map(|measured| {
+                let velocity_scale = settings.velocity_scale * measured / seconds;
+                InputWarning::OtherTimeStep { measured, given: seconds, velocity_scale }
             })
         };
         notes.warnings.extend(warning.map(Warning::Input));

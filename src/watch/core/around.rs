@@ -1,5 +1,5 @@
-//! Frames that depend on those around them (`--temporal`, `--spray`, `--rest`): when each may start, and when it is converted
-//! again.
+//! Frames that depend on those around them (`--temporal`, `--spray`, `--rest`, `--time-step`): when each may start, and when it is
+//! converted again.
 //!
 //! ```text
 //!   held ──▶ waits until the frames around it are complete, or for --temporal-wait ──▶ queued

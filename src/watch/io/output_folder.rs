@@ -6,14 +6,17 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::pipeline::{FrameRecords, STATE_FOLDER, make_out_folder, remove_left_behind, sweep_temporaries};
+use crate::pipeline::{
+    DoneRecord, FrameRecords, STATE_FOLDER, make_out_folder, remove_left_behind, sweep_temporaries,
+};
 use crate::surface::words::pluralize;
-use crate::watch::config::{Watch, WatchConfig};
+use crate::watch::config::WatchConfig;
 use crate::watch::core::events::{Event, OutputFolderState, OutputRequest};
 
 use super::error::DaemonError;
 use super::file_system::free_bytes;
 use super::lock::{LockError, OutputLock};
+use super::selection::FileFilter;
 use super::usd_stages::FolderUsdStages;
 use super::worker::Work;
 
@@ -84,17 +87,18 @@ impl OutputFolderWorker {
         for problem in records.problems() {
             tracing::warn!(folder = %folder.display(), "{problem}: converting the frames that are recorded there again");
         }
-        let is_here =
-            |watch: &&Watch| dunce::canonicalize(&watch.outputs.folder).is_ok_and(|at| at == folder);
-        let of_folder = config.watches.iter().filter(is_here);
-        let conditions: Vec<Option<String>> =
-            of_folder.map(|watch| watch.choices.r#where.as_ref().map(ToString::to_string)).collect();
-        if let Some((name, made)) = records.of_other_particles(|_| true, &conditions) {
-            tracing::warn!(
-                folder = %folder.display(),
-                "{} was made {made}: results of the same names are replaced; to keep both, choose another output folder",
-                name.display()
-            );
+        for watch in &config.watches {
+            let is_here = dunce::canonicalize(&watch.outputs.folder).is_ok_and(|at| at == folder);
+            let Ok(filter) = FileFilter::new(watch.pattern.as_deref(), Vec::new()) else { continue };
+            let condition = watch.choices.r#where.as_ref().map(ToString::to_string);
+            let is_asked = |record: &DoneRecord| is_here && filter.takes(&watch.input, &record.input);
+            if let Some((name, made)) = records.of_other_particles(is_asked, condition.as_ref()) {
+                tracing::warn!(
+                    folder = %folder.display(),
+                    "{} was made {made}: results of the same names are replaced; to keep both, choose another output folder",
+                    name.display()
+                );
+            }
         }
         // Opens the file of this process now, while its records are in memory: if it is removed later, they are all
         // written again.

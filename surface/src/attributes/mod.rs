@@ -60,7 +60,7 @@ use rest::fit_rest;
 
 pub use computed::{ComputedAttribute, add_computed, wants_computed};
 pub use rest::has_rest;
-pub use velocities::{Followed, add_velocities, names_velocity, seconds_between};
+pub use velocities::{FoundBy, add_velocities, names_velocity, time_between};
 
 /// The radius R of the weighted mean with these settings, world units.
 pub fn radius_world(settings: &Settings) -> f64 {

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Particles are found by their ids. Without ids, the particles of frames of equal size are taken to be in the same
-//! order, if none of them moves farther than [`MOVE_MAX`].
+//! order, if nearly all of them stay within [`MOVE_MAX`].
 
 use glam::DVec3;
 
@@ -19,114 +19,160 @@ use crate::spacing::median;
 
 use super::computed::OF_VELOCITIES;
 
-/// The farthest that a particle moves from a frame to the next if it is found by its place in the order, in spacings.
+/// The farthest that a particle moves from a frame to the next if it is found by its place in the order, and the
+/// greatest difference of two moves of a particle, in spacings.
 const MOVE_MAX: f64 = 8.0;
 
-/// Where the velocities of particles come from.
+/// By how many medians of all moves the only move of a particle may be longer.
+const LONE_MEDIANS: f64 = 4.0;
+
+/// The largest share of particles that may move farther.
+const FAR_MAX: f64 = 0.01;
+
+/// How particles are found in the frames before and after.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Followed {
-    /// Their ids in the frames around.
-    ById,
-    /// Their places in the order of the frames around.
-    ByOrder,
+pub enum FoundBy {
+    /// By their ids.
+    Ids,
+    /// By their order.
+    Order,
 }
 
 /// Whether the selection names velocities, or what is computed from them.
 pub fn names_velocity(selection: Option<&AttributeSelection>) -> bool {
     let Some(AttributeSelection::Named(names)) = selection else { return false };
-    let computed = OF_VELOCITIES.map(|attribute| attribute.name());
-    let all = || Role::Velocity.names().iter().chain(&computed);
-    names.iter().any(|name| all().any(|known| name.eq_ignore_ascii_case(known)))
+    let is_computed =
+        |name: &str| OF_VELOCITIES.iter().any(|attribute| name.eq_ignore_ascii_case(attribute.name()));
+    names.iter().any(|name| Role::Velocity.has_name(name) || is_computed(name))
 }
 
-/// Adds velocities to particles that have none, from the frames before and after. A particle that is in neither has the
-/// velocity 0. Returns how they were found; `None` if they cannot be followed to any of these frames.
+/// Adds velocities to particles that have none, from the frames before and after: NaN for a particle that is in neither, or
+/// only in one, to which it would have jumped. Returns how they were found; `None` if they cannot be followed to any of
+/// these frames.
 pub fn add_velocities(
     cloud: &mut ParticleCloud,
     beside: [Option<&ParticleCloud>; 2],
     settings: &Settings,
-) -> Option<Followed> {
-    let own = Places::of(cloud);
-    let found = beside.map(|other| Some(own.find(&Places::of(other?), settings.spacing)?));
+) -> Option<FoundBy> {
+    let time = settings.frame_time()?;
+    let own = TrackedCloud::of(cloud);
+    let found = own.find(beside.map(|other| other.map(TrackedCloud::of)), settings.spacing);
     if found.iter().all(Option::is_none) {
         return None;
     }
-    let seconds = frame_seconds(settings)?;
-    let place = |side: usize, particle: usize| found[side].as_ref()?[particle];
+    let longest = MOVE_MAX * settings.spacing;
+    // Fast fluid moves farther.
+    let lone_max = longest + LONE_MEDIANS * own.median_move(beside, &found).unwrap_or(0.0);
     let velocity = |particle: usize| {
         let here = cloud.positions.position(particle);
-        let moved = match [0, 1].map(|side| place(side, particle)) {
-            [Some(before), Some(after)] => 0.5 * (after - before),
-            [Some(before), None] => here - before,
-            [None, Some(after)] => after - here,
-            [None, None] => DVec3::ZERO,
+        let there =
+            |side: usize| Some(beside[side]?.positions.position(found[side].as_ref()?[particle]? as usize));
+        let moved = match [there(0).map(|before| here - before), there(1).map(|after| after - here)] {
+            // A solver gave the id to another particle.
+            [Some(first), Some(second)] if (second - first).length() > longest => {
+                if first.length() < second.length() { first } else { second }
+            }
+            [Some(first), Some(second)] => 0.5 * (first + second),
+            [Some(only), None] | [None, Some(only)] if only.length() <= lone_max => only,
+            _ => DVec3::NAN,
         };
-        (moved / seconds).as_vec3().to_array()
+        (moved / time).as_vec3().to_array()
     };
     let values = (0..cloud.positions.len()).flat_map(velocity).collect();
-    let followed = if own.ids.is_some() { Followed::ById } else { Followed::ByOrder };
+    let found_by = if own.ids.is_some() { FoundBy::Ids } else { FoundBy::Order };
     let (name, values) = ("velocity".to_owned(), AttributeValues::Numbers(values));
     cloud.attributes.push(Attribute { name, role: Role::Velocity, arity: 3, values });
-    Some(followed)
+    Some(found_by)
 }
 
-/// The time from one frame to another according to particles that have ids and velocities, in seconds: the median of
-/// displacement over velocity of those that are at least as fast as the mean. `None` if most of these cannot be followed.
-pub fn seconds_between(from: &ParticleCloud, to: &ParticleCloud, velocity_scale: f64) -> Option<f64> {
-    let own = Places::of(from);
-    own.ids?;
-    let velocities = find_attribute(&from.attributes, "velocity", 3)?.values.numbers()?;
-    let found = own.find(&Places::of(to), f64::INFINITY)?;
-    let velocities = velocities.as_chunks().0.iter();
-    let velocities: Vec<DVec3> =
-        velocities.map(|velocity| velocity_scale * DVec3::from(velocity.map(f64::from))).collect();
-    let fast = velocities.iter().map(|velocity| velocity.length()).sum::<f64>() / velocities.len() as f64;
-    let is_fast = |(_, velocity): &(usize, &DVec3)| velocity.length() >= fast;
-    let seconds = |(particle, velocity): (usize, &DVec3)| {
-        let moved = found[particle]? - from.positions.position(particle);
-        Some(moved.dot(*velocity) / velocity.length_squared()).filter(|seconds| *seconds > 0.0)
+/// The time from one frame to the next according to particles that have ids and velocities, in the unit of time of the
+/// velocities: the median of half their way from the frame before to the frame after over their velocity, of those that
+/// are at least as fast as the mean. `None` if most of these cannot be followed.
+pub fn time_between(before: &ParticleCloud, own: &ParticleCloud, after: &ParticleCloud) -> Option<f64> {
+    let tracked = TrackedCloud::of(own);
+    tracked.ids?;
+    let velocities = find_attribute(&own.attributes, "velocity", 3)?.values.numbers()?;
+    let velocities: Vec<DVec3> = velocities
+        .as_chunks()
+        .0
+        .iter()
+        .map(|velocity: &[f32; 3]| DVec3::from(velocity.map(f64::from)))
+        .collect();
+    let [from, to] =
+        tracked.find([Some(TrackedCloud::of(before)), Some(TrackedCloud::of(after))], f64::INFINITY);
+    let (from, to) = from.zip(to)?;
+    let mean_speed =
+        velocities.iter().map(|velocity| velocity.length()).sum::<f64>() / velocities.len() as f64;
+    let fast = (0..own.positions.len()).filter(|&particle| velocities[particle].length() >= mean_speed);
+    let time = |particle: usize| {
+        let [from, to] = [(before, from[particle]?), (after, to[particle]?)]
+            .map(|(cloud, index)| cloud.positions.position(index as usize));
+        let velocity = velocities[particle];
+        Some(0.5 * (to - from).dot(velocity) / velocity.length_squared()).filter(|time| *time > 0.0)
     };
-    let fast_ones: Vec<(usize, &DVec3)> = velocities.iter().enumerate().filter(is_fast).collect();
-    let found: Vec<f64> = fast_ones.iter().copied().filter_map(seconds).collect();
-    if 2 * found.len() < fast_ones.len() { None } else { median(found) }
+    let times: Vec<Option<f64>> = fast.map(time).collect();
+    let found: Vec<f64> = times.iter().copied().flatten().collect();
+    if 2 * found.len() < times.len() { None } else { median(found) }
 }
 
-/// The time between two frames, in seconds of the velocities of the particles.
-fn frame_seconds(settings: &Settings) -> Option<f64> {
-    Some(settings.time_step? * settings.velocity_scale)
-}
-
-/// Where particles are, and what identifies them.
-struct Places<'a> {
+/// Particles, and what identifies them.
+struct TrackedCloud<'a> {
     ids: Option<&'a [i64]>,
     positions: &'a OwnedPositions,
 }
 
-impl Places<'_> {
-    fn of(cloud: &ParticleCloud) -> Places<'_> {
+/// Where each particle of a frame is among those of another one.
+type Places = Vec<Option<u32>>;
+
+impl TrackedCloud<'_> {
+    fn of(cloud: &ParticleCloud) -> TrackedCloud<'_> {
         let ids = ids_of(&cloud.attributes).filter(|ids| ids.len() == cloud.positions.len());
-        Places { ids, positions: &cloud.positions }
+        TrackedCloud { ids, positions: &cloud.positions }
     }
 
-    /// Where each of these particles is in another frame; `None` if they cannot be followed there.
-    fn find(&self, other: &Places<'_>, spacing: f64) -> Option<Vec<Option<DVec3>>> {
-        if let Some(ids) = self.ids {
-            let (own, others) = (unique_ids(ids), unique_ids(other.ids?));
-            let place = |id: &i64| {
-                own.get(id)?;
-                others.get(id).map(|index| other.positions.position(*index as usize))
-            };
-            let found: Vec<Option<DVec3>> = ids.iter().map(place).collect();
-            return found.iter().any(Option::is_some).then_some(found);
-        }
-        let count = self.positions.len();
-        let moves_little = |particle: usize| {
-            let moved = other.positions.position(particle) - self.positions.position(particle);
-            !moved.is_finite() || moved.length() <= MOVE_MAX * spacing
+    /// Where these particles are in other frames; `None` for a frame to which they cannot be followed.
+    fn find(&self, others: [Option<TrackedCloud<'_>>; 2], spacing: f64) -> [Option<Places>; 2] {
+        let Some(ids) = self.ids else {
+            return others.map(|other| self.in_order_of(&other?, spacing));
         };
-        let is_same = other.ids.is_none() && other.positions.len() == count && count > 0;
-        (is_same && (0..count).all(moves_little))
-            .then(|| (0..count).map(|particle| Some(other.positions.position(particle))).collect())
+        let own = unique_ids(ids);
+        others.map(|other| {
+            let other = unique_ids(other?.ids?);
+            let places = ids.iter().map(|id| other.get(id).filter(|_| own.contains_key(id)).copied());
+            let places: Places = places.collect();
+            places.iter().any(Option::is_some).then_some(places)
+        })
+    }
+
+    /// The median of the distances to these places.
+    fn median_move(&self, others: [Option<&ParticleCloud>; 2], places: &[Option<Places>; 2]) -> Option<f64> {
+        let sides = others.into_iter().zip(places).filter_map(|(other, places)| other.zip(places.as_ref()));
+        median(
+            sides
+                .flat_map(|(other, places)| {
+                    let distance = |(particle, place): (usize, &Option<u32>)| {
+                        let there = other.positions.position((*place)? as usize);
+                        Some((there - self.positions.position(particle)).length())
+                    };
+                    places.iter().enumerate().filter_map(distance)
+                })
+                .collect(),
+        )
+    }
+
+    /// The same places, but for particles that move too far.
+    fn in_order_of(&self, other: &TrackedCloud<'_>, spacing: f64) -> Option<Places> {
+        let count = u32::try_from(self.positions.len()).ok()?;
+        if other.ids.is_some() || other.positions.len() != self.positions.len() {
+            return None;
+        }
+        let place = |index: u32| {
+            let moved = other.positions.position(index as usize) - self.positions.position(index as usize);
+            (moved.length() <= MOVE_MAX * spacing).then_some(index)
+        };
+        let places: Places = (0..count).map(place).collect();
+        let far_count = places.iter().filter(|place| place.is_none()).count();
+        (count > 0 && far_count as f64 <= FAR_MAX * f64::from(count)).then_some(places)
     }
 }
 
@@ -160,13 +206,14 @@ mod tests {
         Settings::paper(1.0, &options).expect("settings")
     }
 
-    /// The velocities along x that are added.
-    fn added(own: &ParticleCloud, beside: [Option<&ParticleCloud>; 2]) -> Option<(Followed, Vec<f32>)> {
+    /// The velocities along x that are added, of the particles that have one.
+    fn added(own: &ParticleCloud, beside: [Option<&ParticleCloud>; 2]) -> Option<(FoundBy, Vec<f32>)> {
         let mut cloud = own.clone();
         let settings = settings(&[("attributes", "v"), ("time_step", "0.5"), ("velocity_scale", "4")]);
         let followed = add_velocities(&mut cloud, beside, &settings)?;
         let velocities = cloud.find_attribute("velocity", 3)?.values.numbers()?.into_owned();
-        Some((followed, velocities.as_chunks::<3>().0.iter().map(|[x, ..]| *x).collect()))
+        let along = velocities.as_chunks::<3>().0.iter().map(|[x, ..]| *x);
+        Some((followed, along.filter(|x| !x.is_nan()).collect()))
     }
 
     #[test]
@@ -174,21 +221,38 @@ mod tests {
         let own = cloud(&[10.0, 20.0, 30.0, 40.0, 50.0], Some(&[1, 2, 3, 4, 4]), None);
         let before = cloud(&[28.0, 8.0, 0.0], Some(&[3, 1, 4]), None);
         let after = cloud(&[24.0, 16.0], Some(&[2, 1]), None);
-        // Per half a second, over the factor of 4: 1 from both, 2 from one of them, 0 without any.
+        // Per half a second, over the factor of 4: 1 from both, 2 from one of them.
         let both = added(&own, [Some(&before), Some(&after)]);
-        assert_eq!(both, Some((Followed::ById, vec![2.0, 2.0, 1.0, 0.0, 0.0])));
+        assert_eq!(both, Some((FoundBy::Ids, vec![2.0, 2.0, 1.0])));
         let last = added(&own, [Some(&before), None]);
-        assert_eq!(last, Some((Followed::ById, vec![1.0, 0.0, 1.0, 0.0, 0.0])));
+        assert_eq!(last, Some((FoundBy::Ids, vec![1.0, 1.0])));
+        // An id that another particle got.
+        let reused = cloud(&[300.0, 18.0], Some(&[1, 2]), None);
+        let both = added(&own, [Some(&before), Some(&reused)]);
+        assert_eq!(both, Some((FoundBy::Ids, vec![1.0, -1.0, 1.0])));
+        // At the end of a sequence a jump is no velocity.
+        let jumped = added(&own, [None, Some(&reused)]);
+        assert_eq!(jumped, Some((FoundBy::Ids, vec![-1.0])));
         let strangers = cloud(&[1.0], Some(&[9]), None);
         assert_eq!(added(&own, [Some(&strangers), None]), None);
         assert_eq!(added(&own, [None, None]), None);
     }
 
     #[test]
+    fn few_particles_out_of_order_have_no_velocity() {
+        let mut places: Vec<f64> = (0..200).map(f64::from).collect();
+        let own = cloud(&places, None, None);
+        places[7] = 500.0;
+        let (followed, velocities) =
+            added(&own, [None, Some(&cloud(&places, None, None))]).expect("followed");
+        assert_eq!((followed, velocities), (FoundBy::Order, vec![0.0; 199]));
+    }
+
+    #[test]
     fn order_counts_only_without_ids_and_for_short_ways() {
         let own = cloud(&[0.0, 40.0], None, None);
         let after = cloud(&[2.0, 44.0], None, None);
-        assert_eq!(added(&own, [None, Some(&after)]), Some((Followed::ByOrder, vec![1.0, 2.0])));
+        assert_eq!(added(&own, [None, Some(&after)]), Some((FoundBy::Order, vec![1.0, 2.0])));
         let swapped = cloud(&[44.0, 2.0], None, None);
         let with_ids = cloud(&[2.0, 44.0], Some(&[1, 2]), None);
         for other in [swapped, with_ids, cloud(&[2.0, 44.0, 50.0], None, None), cloud(&[], None, None)] {
@@ -198,12 +262,15 @@ mod tests {
 
     #[test]
     fn time_between_frames_is_that_of_particles_that_move() {
-        let from = cloud(&[0.0, 10.0, 20.0], Some(&[1, 2, 3]), Some(5.0));
-        let to = cloud(&[21.0, 11.0, 90.0], Some(&[3, 2, 1]), None);
-        assert_eq!(seconds_between(&from, &to, 2.0), Some(0.1));
-        assert_eq!(seconds_between(&cloud(&[0.0], Some(&[1]), Some(0.0)), &to, 1.0), None);
-        assert_eq!(seconds_between(&cloud(&[0.0], None, Some(5.0)), &to, 1.0), None);
-        assert_eq!(seconds_between(&from, &cloud(&[1.0], Some(&[7]), None), 1.0), None);
+        // They accelerate: the way before is shorter than that after.
+        let before = cloud(&[9.5, 19.5, -70.0], Some(&[2, 3, 1]), None);
+        let own = cloud(&[0.0, 10.0, 20.0], Some(&[1, 2, 3]), Some(5.0));
+        let after = cloud(&[21.5, 11.5, 90.0], Some(&[3, 2, 1]), None);
+        assert_eq!(time_between(&before, &own, &after), Some(0.2));
+        let still = cloud(&[0.0], Some(&[1]), Some(0.0));
+        assert_eq!(time_between(&before, &still, &after), None);
+        assert_eq!(time_between(&before, &cloud(&[0.0], None, Some(5.0)), &after), None);
+        assert_eq!(time_between(&before, &own, &cloud(&[1.0], Some(&[7]), None)), None);
     }
 
     #[test]

@@ -278,6 +278,11 @@ impl Settings {
         self.time_step.is_some() && names_velocity(self.attributes.as_ref())
     }
 
+    /// The time between two frames, in the unit of time of the velocities.
+    pub fn frame_time(&self) -> Option<f64> {
+        Some(self.time_step? * self.velocity_scale)
+    }
+
     /// Whether the surface gets attributes of the particles.
     pub fn has_attributes(&self) -> bool {
         self.attributes.is_some() || self.rest.is_some()

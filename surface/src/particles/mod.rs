@@ -499,8 +499,7 @@ impl Attribute {
 
     /// Whether `name` refers to this attribute: its own name, ignoring case, or a name of its semantic.
     pub fn matches(&self, name: &str) -> bool {
-        let is = |other: &&str| name.eq_ignore_ascii_case(other);
-        is(&&*self.name) || self.role.names().iter().any(is)
+        name.eq_ignore_ascii_case(&self.name) || self.role.has_name(name)
     }
 }
 
@@ -559,8 +558,13 @@ impl Role {
         }
     }
 
+    /// Whether users refer to the semantic by this name, in any case.
+    pub fn has_name(self, name: &str) -> bool {
+        self.names().iter().any(|known| name.eq_ignore_ascii_case(known))
+    }
+
     /// The names by which users refer to the semantic.
-    pub(crate) fn names(self) -> &'static [&'static str] {
+    fn names(self) -> &'static [&'static str] {
         match self {
             Role::Velocity => {
                 &["velocity", "velocities", "vel", "v", "particle_vel", "particle_qd", "f_v", "qd"]

@@ -214,7 +214,7 @@ impl<S: ParticleSource> StagedFrame<S> {
         let StagedFields::InMemory(fields, _) = &mut self.fields else { return };
         let config = TemporalConfig {
             frames: settings.temporal,
-            seconds: settings.time_step.map(|seconds| seconds * settings.velocity_scale),
+            seconds: settings.frame_time(),
             spacing: settings.spacing,
             lattice: lattice(settings),
         };
