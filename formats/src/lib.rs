@@ -9,93 +9,60 @@
 #![forbid(unsafe_code)]
 
 pub mod abc;
-pub mod batches;
-pub mod bgeo;
-mod blosc;
-pub mod bytes;
-pub mod columns;
-pub mod compression;
-pub mod container;
-pub mod csv;
-pub mod data;
-mod digest;
-pub mod error;
-pub mod exr;
-mod first_column;
-pub mod gltf;
-pub mod hdf5;
+mod arrays;
+mod core;
 pub mod houdini;
-pub mod integrity;
-pub mod json;
-pub mod lammps;
-pub mod limits;
-mod lzf;
-mod matrix;
-pub mod mesh;
-mod named_arrays;
-mod narrow_points;
-mod neighbor;
-pub mod npy;
-mod number;
-pub mod obj;
-mod obj_points;
-mod options;
-mod packed;
-pub mod pcd;
+mod meshes;
+mod pictures;
 pub mod ply;
-pub mod png;
-mod point_formats;
-pub mod probe;
-pub mod provenance;
-pub mod prt;
-mod records;
-mod row;
-mod sequence;
-mod sequence_points;
-pub mod steps;
-pub mod stl;
+mod points;
 mod table;
-mod text;
+mod tables;
 mod usd;
-pub mod usda;
-pub mod usdc;
 pub mod vdb;
-mod vertex_attributes;
 pub mod vtk;
-pub mod xdmf;
-mod xml;
-pub mod xyz_ext;
-mod zstd;
 
-pub use batches::{ParticleBatch, ParticleBatches, ReadAt};
-pub use compression::Codec;
-pub use container::{ContainerFile, OpenFurther, Sample};
-pub use data::{
+pub use arrays::{hdf5, json, npy, xdmf};
+pub use core::{batches, bytes, columns, compression, data, error, limits, provenance};
+pub use houdini::bgeo;
+pub use meshes::{gltf, obj, stl};
+pub use pictures::{exr, png};
+pub use points::{pcd, prt};
+pub use table::abc_sequence::write_abc_sequence;
+pub use table::to_glb::{becomes_glb, to_glb};
+pub use table::{container, integrity, mesh, probe, steps};
+pub use tables::{csv, lammps, xyz_ext};
+pub use usd::{usda, usdc};
+
+pub use core::batches::{ParticleBatch, ParticleBatches, ReadAt};
+pub use core::compression::Codec;
+pub use core::container::{ContainerFile, OpenFurther, Sample};
+pub use core::data::{
     AttributeRole, BandGrid, ColorPicture, FileAttribute, FilePositions, LeafValues, LevelSetView, MeshData,
     MeshView, ParticleFrame, PictureCamera, PictureLayer, PictureView, PixelSamples, Provenance, Values,
     VertexAttribute, VertexValues,
 };
-pub use error::{Error, Position, Result};
-pub use integrity::{completeness, is_complete};
-pub use limits::Limits;
-pub use mesh::{ObstacleData, check_obstacle, looks_like_mesh, read_mesh, read_obstacle};
-pub use neighbor::{Neighbor, neighbor};
-pub use number::NumberType;
-pub use options::{MeshOptions, UpAxis, WriteOption};
-pub use packed::format_of_packed;
-pub use point_formats::PointFormat;
-pub use probe::{Probe, ProbedKind, looks_like_particles, probe};
-pub use row::{
+pub use core::error::{Error, Position, Result};
+pub use core::limits::Limits;
+pub use core::number::NumberType;
+pub use core::options::{MeshOptions, UpAxis, WriteOption};
+pub use core::row::{
     BatchEncoder, Completeness, Content, MeshEncoder, MeshWriter, ParticleWriter, PictureWriter, StreamWriter,
 };
-pub use sequence_points::{PointsSummary, ReadPoints, SequencePoints};
+pub use core::sequence_points::{PointsSummary, ReadPoints, SequencePoints};
+pub use core::text::{Escaped, escaped, is_unsafe, listed};
+pub use table::integrity::{completeness, is_complete};
+pub use table::mesh::{ObstacleData, check_obstacle, looks_like_mesh, read_mesh, read_obstacle};
+pub use table::neighbor::{Neighbor, neighbor};
+pub use table::packed::format_of_packed;
+pub use table::point_formats::PointFormat;
+pub use table::probe::{Probe, ProbedKind, looks_like_particles, probe};
 pub use table::{Format, OutputFormat, read_provenance};
-pub use text::{Escaped, escaped, is_unsafe, listed};
 
 use std::borrow::Cow;
 
-use probe::HEAD_BYTES;
-use row::{ParticleReader, ReadParticles};
+use core::row::{MESH_REFUSAL, ParticleReader, ReadParticles};
+use table::probe::HEAD_BYTES;
 
 /// Reads a frame of particles from a file in any supported format, compressed or not.
 ///
@@ -137,7 +104,7 @@ pub fn read_particles_named(
         let what = "--columns renames columns of tables of text, not arrays: rename the arrays in the file";
         return Err(Error::unsupported(format.name(), what));
     }
-    if let Some(frame) = packed::unpack(bytes, limits) {
+    if let Some(frame) = table::packed::unpack(bytes, limits) {
         return with_finite(packed.map_or("", Format::name), with_note(frame?));
     }
     let is_vague = matches!(kind, ProbedKind::Empty | ProbedKind::Unknown | ProbedKind::UnknownText);
@@ -207,10 +174,6 @@ pub fn check_supported(head: &[u8], file_name: &str) -> Result<()> {
         _ => Ok(()),
     }
 }
-
-/// The refusal of a mesh.
-pub(crate) const MESH_REFUSAL: &str =
-    "this is a mesh, not particles: use the particle file, or save the mesh's vertices as PLY";
 
 /// The particle reader for files of this kind. If there is none, the error says what the file is and what to
 /// do instead.

@@ -7,7 +7,7 @@ use std::io::Cursor;
 
 use meniscus_formats::{
     AttributeRole, Error, Limits, MeshOptions, MeshView, OutputFormat, UpAxis, VertexAttribute, VertexValues,
-    abc, gltf, is_complete, read_mesh, read_provenance,
+    abc, gltf, is_complete, read_mesh, read_provenance, to_glb,
 };
 
 const FAR: [f64; 3] = [1e6 + 0.5, -2e6, 0.25];
@@ -86,7 +86,7 @@ fn abc_round_trips_exactly() {
 #[test]
 fn abc_becomes_the_glb_of_the_same_mesh() {
     let bytes = pyramid();
-    let (glb, notes) = abc::to_glb(&bytes, &Limits::default()).expect("converted");
+    let (glb, notes) = to_glb(&bytes, &Limits::default()).expect("converted");
     assert!(notes.iter().any(|note| note.starts_with("large ")), "{notes:?}");
     let [mesh, expected] = [
         gltf::read_mesh(&glb, &Limits::default()).expect("our own file"),
@@ -105,7 +105,7 @@ fn abc_becomes_the_glb_of_the_same_mesh() {
     for at in 0..bytes.len() {
         let mut damaged = bytes.clone();
         damaged[at] ^= 0x81;
-        let _ = abc::to_glb(&damaged, &Limits::default());
+        let _ = to_glb(&damaged, &Limits::default());
     }
 }
 
@@ -178,7 +178,7 @@ fn meshes_of_other_programs_are_read_and_not_converted() {
     let read = |bytes: &[u8]| abc::read_mesh(bytes, &Limits::default()).expect("a mesh");
     assert_eq!(read(&foreign), read(&bytes));
     assert_eq!(abc::read_attributes(&foreign, &Limits::default()).expect("none"), []);
-    let error = abc::to_glb(&foreign, &Limits::default()).expect_err("another program's");
+    let error = to_glb(&foreign, &Limits::default()).expect_err("another program's");
     assert!(matches!(error, Error::Unsupported { .. }) && error.to_string().contains("as PLY"), "{error}");
     assert_eq!(read_provenance(OutputFormat::Abc, &foreign[..]).expect("an archive"), []);
 }
@@ -208,9 +208,9 @@ fn table_of_strings_counts_as_much_as_it_takes() {
         &MeshOptions::default(),
         &[VertexAttribute { name: "name", role: None, arity: 1, values }],
     );
-    assert!(abc::to_glb(&bytes, &Limits::default()).is_ok());
+    assert!(to_glb(&bytes, &Limits::default()).is_ok());
     // Each string is one byte in the file.
     let limits = Limits { memory_bytes: 16 << 20, ..Limits::default() };
     assert!(bytes.len() < 2 << 20);
-    assert!(matches!(abc::to_glb(&bytes, &limits), Err(Error::MemoryLimit { .. })));
+    assert!(matches!(to_glb(&bytes, &limits), Err(Error::MemoryLimit { .. })));
 }

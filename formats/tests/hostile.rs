@@ -16,7 +16,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use meniscus_formats::{
     AttributeRole, BandGrid, ContainerFile, FileAttribute, Format, LeafValues, LevelSetView, Limits,
     MeshOptions, MeshView, OutputFormat, ParticleBatch, ParticleBatches, ProbedKind, ReadAt, Result, Values,
-    abc, bgeo, container, csv, hdf5, lammps, ply, read_mesh, read_obstacle, read_particles, usdc, vdb, xdmf,
+    abc, bgeo, container, csv, hdf5, lammps, ply, read_mesh, read_obstacle, read_particles, to_glb, vdb,
+    xdmf,
 };
 use peak_alloc::PeakAlloc;
 
@@ -395,8 +396,8 @@ fn damaged_meshes_do_not_panic() {
         format.write_mesh(&mesh, &MeshOptions::default(), &[], &mut bytes).unwrap();
         sweep(&name, &bytes, |bytes| read_mesh(bytes, &name, &limits, &|_| Ok(Vec::new())));
         match format {
-            OutputFormat::Abc => sweep(&name, &bytes, |bytes| abc::to_glb(bytes, &limits)),
-            OutputFormat::Usdc => sweep(&name, &bytes, |bytes| usdc::to_glb(bytes, &limits)),
+            OutputFormat::Abc => sweep(&name, &bytes, |bytes| to_glb(bytes, &limits)),
+            OutputFormat::Usdc => sweep(&name, &bytes, |bytes| to_glb(bytes, &limits)),
             _ => {}
         }
     }

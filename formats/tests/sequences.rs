@@ -8,7 +8,8 @@ use meniscus_formats::gltf::{self, GlbFrame, SequenceFrame, UpAxis};
 use meniscus_formats::{
     AttributeRole, ContainerFile, Error, FileAttribute, FilePositions, Format, Limits, MeshData, MeshOptions,
     MeshView, OpenFurther, OutputFormat, ParticleFrame, PointFormat, PointsSummary, ProbedKind,
-    SequencePoints, Values, VertexAttribute, VertexValues, abc, container, read_particles, usdc,
+    SequencePoints, Values, VertexAttribute, VertexValues, abc, container, read_particles, to_glb, usdc,
+    write_abc_sequence,
 };
 
 use crate::mesh_formats::of_numbers;
@@ -170,7 +171,7 @@ fn abc_sequence_has_a_sample_per_frame() {
         let (shot, files) = gathered(up);
         let mut bytes = Vec::new();
         let open = |index: usize| Ok(Cursor::new(&files[index]));
-        let notes = abc::write_sequence(&shot, None, 25.0, &provenance(), open, &mut bytes).expect("written");
+        let notes = write_abc_sequence(&shot, None, 25.0, &provenance(), open, &mut bytes).expect("written");
         assert!(notes.len() == 1 && notes[0].starts_with("_HEAT is missing"), "{notes:?}");
         let limits = Limits::default();
         let times = abc::read_times(&bytes).expect("times");
@@ -209,13 +210,13 @@ fn abc_sequence_without_missing_frames_has_uniform_times() {
     shot.iter_mut().zip(7..).for_each(|(frame, code)| frame.code = code);
     let mut bytes = Vec::new();
     let open = |index: usize| Ok(Cursor::new(&files[index]));
-    abc::write_sequence(&shot, None, 24.0, &provenance(), open, &mut bytes).expect("written");
+    write_abc_sequence(&shot, None, 24.0, &provenance(), open, &mut bytes).expect("written");
     let times = abc::read_times(&bytes).expect("times");
     assert!(times.len() == 4 && times[0] == 7.0 / 24.0 && (times[3] - 10.0 / 24.0).abs() < 1e-12);
     shot[1].code = 7;
-    let error = abc::write_sequence(&shot, None, 24.0, &[], open, &mut Vec::new()).expect_err("out of order");
+    let error = write_abc_sequence(&shot, None, 24.0, &[], open, &mut Vec::new()).expect_err("out of order");
     assert!(matches!(error, Error::Invalid { .. }), "{error}");
-    assert!(abc::write_sequence(&[], None, 24.0, &[], open, &mut Vec::new()).is_err());
+    assert!(write_abc_sequence(&[], None, 24.0, &[], open, &mut Vec::new()).is_err());
 }
 
 /// Three frames with the same mesh, from this number on: programs would interpolate between them.
@@ -232,7 +233,7 @@ fn frames_with_the_same_number_of_vertices_are_repeated_just_before_the_next() {
         let open = |_: usize| Ok(Cursor::new(&file));
         let times = [0.0, 1.0 - 1.0 / 64.0, 1.0, 2.0 - 1.0 / 64.0, 2.0].map(|time| from + time);
         let mut bytes = Vec::new();
-        abc::write_sequence(&frames, None, 24.0, &provenance(), open, &mut bytes).expect("written");
+        write_abc_sequence(&frames, None, 24.0, &provenance(), open, &mut bytes).expect("written");
         assert_eq!(abc::read_times(&bytes).expect("times"), times.map(|time| time / 24.0));
     }
 }
@@ -291,7 +292,7 @@ fn shot_with_points(up: UpAxis, provenance: &[(String, String)]) -> (Vec<u8>, Ve
     let summaries = frames().iter().map(summary).collect();
     let points = SequencePoints::new(summaries, Box::new(|index| Ok(points(frames()[index].code))));
     let mut archive = Vec::new();
-    let notes = abc::write_sequence(&shot, Some(&points), 25.0, provenance, open, &mut archive);
+    let notes = write_abc_sequence(&shot, Some(&points), 25.0, provenance, open, &mut archive);
     (archive, notes.expect("written"))
 }
 
@@ -418,7 +419,7 @@ fn points_are_read_as_they_were_written() {
         let (shot, files) = gathered(UpAxis::Y);
         let points = SequencePoints::new(vec![summary], Box::new(move |_| Ok(read.clone())));
         let (mut archive, open) = (Vec::new(), |index: usize| Ok(Cursor::new(&files[index])));
-        let notes = abc::write_sequence(&shot[..1], Some(&points), 24.0, &[], open, &mut archive);
+        let notes = write_abc_sequence(&shot[..1], Some(&points), 24.0, &[], open, &mut archive);
         assert_eq!(notes.expect("written"), [""; 0]);
         archive
     };
@@ -443,7 +444,7 @@ fn points_that_cannot_be_read_again_are_an_error() {
     let summary = |frame: &Frame| PointsSummary::of(&points(frame.code)).expect("points");
     let changed = |_: usize| Ok(points(10));
     let points = SequencePoints::new(frames().iter().map(summary).collect(), Box::new(changed));
-    let outcome = abc::write_sequence(&shot, Some(&points), 25.0, &[], open, &mut Vec::new());
+    let outcome = write_abc_sequence(&shot, Some(&points), 25.0, &[], open, &mut Vec::new());
     assert!(matches!(outcome, Err(Error::Invalid { .. })), "{outcome:?}");
 }
 
@@ -453,7 +454,7 @@ fn invalid_sequences_are_errors() {
     let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };
     let both = |shot: &[SequenceFrame]| {
         let glb = gltf::write_sequence(shot, 24.0, &[], open, &mut Vec::new());
-        (glb, abc::write_sequence(shot, None, 24.0, &[], open, &mut Vec::new()).map(|_| ()))
+        (glb, write_abc_sequence(shot, None, 24.0, &[], open, &mut Vec::new()).map(|_| ()))
     };
     // Frames with the same time, and frames with different up axes.
     shot[1].code = 5;
@@ -467,7 +468,7 @@ fn invalid_sequences_are_errors() {
     files[3].truncate(2000);
     let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };
     assert!(gltf::write_sequence(&shot, 24.0, &[], open, &mut Vec::new()).is_err());
-    assert!(abc::write_sequence(&shot, None, 24.0, &[], open, &mut Vec::new()).is_err());
+    assert!(write_abc_sequence(&shot, None, 24.0, &[], open, &mut Vec::new()).is_err());
     // A sequence with only empty frames is an empty scene.
     let (shot, files) = gathered(UpAxis::Y);
     let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&files[2])) };
@@ -502,7 +503,7 @@ fn other_and_damaged_files_are_not_frames() {
             let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
             let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&broken)) };
             let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut Vec::new());
-            let _ = abc::write_sequence(&shot, None, 24.0, &[], open, &mut Vec::new());
+            let _ = write_abc_sequence(&shot, None, 24.0, &[], open, &mut Vec::new());
         }
     }
 }
@@ -526,7 +527,7 @@ fn sequence_of(bytes: &[u8]) -> Result<(Vec<u8>, Vec<String>), Error> {
     let file = GlbFrame::read(&mut Cursor::new(bytes))?;
     let shot = [SequenceFrame { name: "a".into(), code: 1, file }];
     let mut archive = Vec::new();
-    let notes = abc::write_sequence(&shot, None, 24.0, &[], |_| Ok(Cursor::new(bytes)), &mut archive)?;
+    let notes = write_abc_sequence(&shot, None, 24.0, &[], |_| Ok(Cursor::new(bytes)), &mut archive)?;
     Ok((archive, notes))
 }
 
@@ -596,8 +597,8 @@ fn accelerations_are_a_property_of_usd_meshes_and_an_attribute_elsewhere() {
 
     // The frames of a sequence can be .glb, .usdc or .abc. In a .usdc they have no name other than that of
     // the property.
-    let (of_usdc, _) = usdc::to_glb(&usdc_frame, &limits).expect("converted");
-    let (of_abc, _) = abc::to_glb(&abc_frame, &limits).expect("converted");
+    let (of_usdc, _) = to_glb(&usdc_frame, &limits).expect("converted");
+    let (of_abc, _) = to_glb(&abc_frame, &limits).expect("converted");
     for (glb, name) in [(triangle(&attributes), "accel"), (of_usdc, "acceleration"), (of_abc, "accel")] {
         let (archive, notes) = sequence_of(&glb).expect("a sequence");
         assert!(notes.is_empty(), "{notes:?}");
@@ -668,7 +669,7 @@ fn summary_of_a_sequence_needs_only_the_ends_of_its_file() {
     let (shot, files) = gathered(UpAxis::Y);
     let open = |index: usize| Ok(Cursor::new(&files[index]));
     let mut archive = Vec::new();
-    abc::write_sequence(&shot, None, 25.0, &provenance(), open, &mut archive).expect("written");
+    write_abc_sequence(&shot, None, 25.0, &provenance(), open, &mut archive).expect("written");
     let counts = frames().iter().map(|frame| u64::from(frame.sides)).sum::<u64>();
 
     let mut file = Counted(Cursor::new(&archive), 0);

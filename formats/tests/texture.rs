@@ -4,7 +4,7 @@ use std::io::Cursor;
 
 use meniscus_formats::{
     AttributeRole, Content, FileAttribute, Limits, MeshOptions, MeshView, OutputFormat, Values, abc, gltf,
-    is_complete, ply, usdc,
+    is_complete, ply, to_glb, usdc,
 };
 
 use crate::mesh_formats::of_numbers;
@@ -92,8 +92,8 @@ fn glb_has_coordinates_from_the_upper_left_corner_whichever_file_it_is_made_from
     let flipped = ROWS.map(|[u, v]| [u, 1.0 - v].map(f32::to_le_bytes));
     assert!(glb.windows(32).any(|part| part == flipped.as_flattened().as_flattened()));
     for (bytes, to_glb) in [
-        (written(OutputFormat::Usdc, &[]), usdc::to_glb as fn(_, _) -> _),
-        (written(OutputFormat::Abc, &[]), abc::to_glb),
+        (written(OutputFormat::Usdc, &[]), to_glb as fn(_, _) -> _),
+        (written(OutputFormat::Abc, &[]), to_glb),
     ] {
         let (glb, _): (Vec<u8>, Vec<String>) = to_glb(bytes, &limits).expect("our own file");
         assert_eq!(of_glb(&glb), ROWS.as_flattened());

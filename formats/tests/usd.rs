@@ -6,7 +6,7 @@ use std::io::{self, Cursor, Read, Seek, SeekFrom};
 
 use meniscus_formats::{
     Limits, MeshOptions, OutputFormat, Values, VertexAttribute, VertexValues, gltf, is_complete, read_mesh,
-    usda, usdc,
+    to_glb, usda, usdc,
 };
 
 use crate::mesh_formats::{FAR, fans, nothing, provenance, torus, usda_text, usdc_bytes};
@@ -238,7 +238,7 @@ fn usdc_becomes_the_glb_of_the_same_mesh() {
     let limits = Limits::default();
     for mesh in [torus(20, 12, [0.0; 3]), torus(130, 70, FAR), torus(2, 3, FAR), nothing()] {
         for up in [gltf::UpAxis::Y, gltf::UpAxis::Z] {
-            let (glb, notes) = usdc::to_glb(usdc_bytes(&mesh, false, up), &limits).expect("converted");
+            let (glb, notes) = to_glb(usdc_bytes(&mesh, false, up), &limits).expect("converted");
             let (attributes, options) = (mesh.attributes(), MeshOptions { up, ..MeshOptions::default() });
             let mut expected = Vec::new();
             gltf::write_glb(&mesh.view(&attributes), &options, &provenance(), &mut expected)
@@ -248,7 +248,7 @@ fn usdc_becomes_the_glb_of_the_same_mesh() {
             let lost = notes.iter().filter(|note| note.starts_with("id is missing")).count();
             assert_eq!((lost, notes.len()), (usize::from(!mesh.ids.is_empty()), lost), "{notes:?}");
 
-            let (glb, _) = usdc::to_glb(usdc_bytes(&mesh, true, up), &limits).expect("converted");
+            let (glb, _) = to_glb(usdc_bytes(&mesh, true, up), &limits).expect("converted");
             assert_eq!(gltf::read_mesh(&glb, &limits).expect("our own file").triangles, fans(&mesh));
         }
     }
@@ -273,7 +273,7 @@ fn truncated_and_damaged_usdc_is_an_error() {
             damaged[at] ^= damage;
             let _ = read(&damaged);
             let _ = sampled(&damaged);
-            let _ = usdc::to_glb(&damaged, &limits);
+            let _ = to_glb(&damaged, &limits);
         }
     }
     let mut newer = bytes.clone();

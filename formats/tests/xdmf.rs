@@ -108,7 +108,10 @@ fn what_cannot_be_read_is_an_error() {
         (item(hdf, "none/such.h5:/a"), "none/such.h5"),
         (item("Dimensions=\"9 3\" Format=\"Binary\"", "raw.bin"), "has fewer than 27 numbers"),
         (item("Dimensions=\"1 2\"", "1 2"), "the points must be one item, or three"),
-        (item("Dimensions=\"99999999 9999\" Format=\"HDF\"", "none.h5:/x"), "more than 200 times its compressed size"),
+        (
+            item("Dimensions=\"99999999 9999\" Format=\"HDF\"", "none.h5:/x"),
+            "more than 200 times its compressed size",
+        ),
         (within("<xi:include href=\"a\"/>"), "xi:include"),
         (within(""), "expected a <Grid>"),
         (within(&"<Grid GridType=\"Tree\">".repeat(40)), "nested more than 16 deep"),

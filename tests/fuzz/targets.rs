@@ -24,7 +24,8 @@ use meniscus_formats::{
     ContainerFile, Format, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, ProbedKind,
     ReadAt, Result, Values, abc, bgeo, completeness, compression, container, csv, gltf, hdf5, houdini,
     is_complete, json, lammps, looks_like_particles, npy, obj, pcd, ply, png, probe, prt, read_mesh,
-    read_obstacle, read_particles, read_provenance, stl, usda, usdc, vdb, vtk, xdmf, xyz_ext,
+    read_obstacle, read_particles, read_provenance, stl, to_glb, usda, usdc, vdb, vtk, write_abc_sequence,
+    xdmf, xyz_ext,
 };
 use twox_hash::XxHash3_64;
 
@@ -237,7 +238,7 @@ fn alembic(bytes: &[u8]) {
     let _ = (abc::read_mesh(bytes, &limits()), abc::read_times(bytes));
     let _ = abc::read_sequence_info(&mut Cursor::new(bytes));
     let _ = (abc::read_sample(bytes, 0, &limits()), abc::read_sample(bytes, 1, &limits()));
-    let _ = abc::to_glb(bytes, &limits());
+    let _ = to_glb(bytes, &limits());
     checked(abc::read_points(bytes, 0, &limits()));
     checked(abc::read_points(bytes, 1, &limits()));
 }
@@ -247,14 +248,14 @@ fn gltf_frame(bytes: &[u8]) {
     let Ok(file) = gltf::GlbFrame::read(&mut Cursor::new(bytes)) else { return };
     let frame = |code| gltf::SequenceFrame { name: "f".into(), code, file: file.clone() };
     let (shot, open) = ([frame(1), frame(3)], |_: usize| Ok(Cursor::new(bytes)));
-    let _ = abc::write_sequence(&shot, None, 24.0, &[], open, &mut std::io::sink());
+    let _ = write_abc_sequence(&shot, None, 24.0, &[], open, &mut std::io::sink());
     let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut std::io::sink());
 }
 
 /// Reads the declarations and the frame of a file, and converts it.
 fn usdc_frames(bytes: &[u8]) {
     let _ = usdc::read_sampled_properties(&mut Cursor::new(bytes), &limits());
-    let _ = usdc::to_glb(bytes, &limits());
+    let _ = to_glb(bytes, &limits());
     let Ok(layer) = usdc::UsdcLayer::read(bytes, &limits()) else { return };
     let _ = layer.frame();
 }

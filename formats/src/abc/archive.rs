@@ -12,15 +12,15 @@ use super::document::{
     ACYCLIC, APPLICATION, DATA, EMPTY_GROUP, HEADER_BYTES, MAGIC, NUMBER_TYPES, OBJECT_HASH_BYTES, Pod,
     ROOT_CHILDREN, Reference, START, bits,
 };
-use crate::batches::ReadAt;
-use crate::bytes::Endian;
-use crate::data::Values;
-use crate::digest::DIGEST_BYTES;
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
-use crate::number::{distinct_strings, gathered};
-use crate::provenance::from_escaped;
-use crate::text::excerpt;
+use crate::abc::digest::DIGEST_BYTES;
+use crate::core::batches::ReadAt;
+use crate::core::bytes::Endian;
+use crate::core::data::Values;
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::number::{distinct_strings, gathered};
+use crate::core::provenance::from_escaped;
+use crate::core::text::excerpt;
 
 /// The start of a file in the older container.
 pub(crate) const HDF5: &[u8] = b"\x89HDF\r\n\x1a\n";

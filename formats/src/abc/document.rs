@@ -13,11 +13,11 @@
 use std::io::{self, Write};
 
 use super::FORMAT;
-use crate::data::Provenance;
-use crate::digest::{DIGEST_BYTES, Hasher, SampleKey};
-use crate::error::{Error, Position, Result};
-use crate::number::NumberType;
-use crate::provenance::{GENERATOR, escape, prefixed};
+use crate::abc::digest::{DIGEST_BYTES, Hasher, SampleKey};
+use crate::core::data::Provenance;
+use crate::core::error::{Error, Position, Result};
+use crate::core::number::NumberType;
+use crate::core::provenance::{GENERATOR, escape, prefixed};
 
 /// The version of Alembic's layout of archives in the container.
 const FILE_VERSION: i32 = 0;
@@ -26,17 +26,17 @@ const FILE_VERSION: i32 = 0;
 const LIBRARY_VERSION: i32 = 10_800;
 
 /// The metadata key of the program that wrote an archive.
-pub(super) const APPLICATION: &str = "_ai_Application";
+pub(crate) const APPLICATION: &str = "_ai_Application";
 
 const FPS: &str = "_ai_DCC_FPS";
 
 /// Alembic's value of the time per cycle for acyclic sampling, which lists the time of each sample.
-pub(super) const ACYCLIC: f64 = f64::MAX / 32.0;
+pub(crate) const ACYCLIC: f64 = f64::MAX / 32.0;
 
 /// A type of values ("plain old data"), with Alembic's code for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub(super) enum Pod {
+pub(crate) enum Pod {
     Bool = 0,
     U8 = 1,
     U32 = 5,
@@ -49,7 +49,7 @@ pub(super) enum Pod {
 }
 
 /// The types of numbers, by Alembic's codes.
-pub(super) const NUMBER_TYPES: [NumberType; 12] = [
+pub(crate) const NUMBER_TYPES: [NumberType; 12] = [
     NumberType::Bool,
     NumberType::U8,
     NumberType::I8,
@@ -65,7 +65,7 @@ pub(super) const NUMBER_TYPES: [NumberType; 12] = [
 ];
 
 /// Bits of a property header.
-pub(super) mod bits {
+pub(crate) mod bits {
     pub(crate) const SCALAR: u32 = 1;
     pub(crate) const ARRAY: u32 = 2;
     pub(crate) const KIND: u32 = 3;
@@ -84,7 +84,7 @@ pub(super) mod bits {
 
 /// The times of the samples.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Times {
+pub(crate) enum Times {
     /// One sample, valid at all times.
     Static,
     /// Samples at these times, in frames. They increase; there is at least one.
@@ -133,16 +133,16 @@ impl Times {
 }
 
 /// An object of the archive.
-pub(super) struct AbcObject {
-    pub(super) name: String,
-    pub(super) metadata: String,
-    pub(super) properties: Vec<AbcProperty>,
-    pub(super) children: Vec<AbcObject>,
+pub(crate) struct AbcObject {
+    pub(crate) name: String,
+    pub(crate) metadata: String,
+    pub(crate) properties: Vec<AbcProperty>,
+    pub(crate) children: Vec<AbcObject>,
 }
 
 /// A property of an object, whose samples are already written.
 #[derive(Clone)]
-pub(super) struct AbcProperty {
+pub(crate) struct AbcProperty {
     name: String,
     metadata: String,
     content: PropertyContent,
@@ -165,11 +165,11 @@ impl AbcProperty {
         AbcProperty { name: name.to_owned(), metadata: metadata.to_owned(), content }
     }
 
-    pub(super) fn compound(name: &str, metadata: &str, properties: Vec<AbcProperty>) -> AbcProperty {
+    pub(crate) fn compound(name: &str, metadata: &str, properties: Vec<AbcProperty>) -> AbcProperty {
         AbcProperty::new(name, metadata, PropertyContent::Compound(properties))
     }
 
-    pub(super) fn scalar(
+    pub(crate) fn scalar(
         name: &str,
         metadata: &str,
         (pod, extent): (Pod, u8),
@@ -178,7 +178,7 @@ impl AbcProperty {
         AbcProperty::new(name, metadata, PropertyContent::Values { is_array: false, pod, extent, samples })
     }
 
-    pub(super) fn array(
+    pub(crate) fn array(
         name: &str,
         metadata: &str,
         (pod, extent): (Pod, u8),
@@ -188,7 +188,7 @@ impl AbcProperty {
     }
 
     /// Appends the samples of the same property at later times.
-    pub(super) fn append(&mut self, later: &AbcProperty) {
+    pub(crate) fn append(&mut self, later: &AbcProperty) {
         match (&mut self.content, &later.content) {
             (PropertyContent::Compound(properties), PropertyContent::Compound(later)) => {
                 properties.iter_mut().zip(later).for_each(|(property, later)| property.append(later));
@@ -286,7 +286,7 @@ fn write_compound(
 }
 
 /// The number of bytes of the hashes after the names of child objects.
-pub(super) const OBJECT_HASH_BYTES: usize = 32;
+pub(crate) const OBJECT_HASH_BYTES: usize = 32;
 
 /// Writes an object. Returns a reference to it, and the hash of everything in it.
 #[expect(clippy::cast_possible_truncation, reason = "names and metadata are short")]
@@ -312,14 +312,14 @@ fn write_object(object: &AbcObject, times: &Times, ogawa: &mut Ogawa) -> Result<
 }
 
 /// The number of children of the root group.
-pub(super) const ROOT_CHILDREN: u64 = 6;
+pub(crate) const ROOT_CHILDREN: u64 = 6;
 
 /// Writes an archive with objects under the top object. The metadata come first, so that readers find them in
 /// the head of the file.
 ///
 /// # Errors
 /// Those of `objects` and `out`.
-pub(super) fn write_archive(
+pub(crate) fn write_archive(
     provenance: &Provenance,
     times: &Times,
     objects: impl Fn(&mut Ogawa) -> Result<Vec<AbcObject>>,
@@ -368,39 +368,39 @@ fn entry(text: &str) -> String {
 // writer first measures: it makes all calls once without writing, which needs sizes but no values. So the
 // output need not support seeking, and a frame need not be held in memory.
 
-pub(super) const MAGIC: [u8; 5] = *b"Ogawa";
+pub(crate) const MAGIC: [u8; 5] = *b"Ogawa";
 
 /// The first eight bytes of a complete archive.
-pub(super) const START: [u8; 8] = [b'O', b'g', b'a', b'w', b'a', 0xff, 0, 1];
+pub(crate) const START: [u8; 8] = [b'O', b'g', b'a', b'w', b'a', 0xff, 0, 1];
 
 /// Size of the part before the first group or data.
-pub(super) const HEADER_BYTES: u64 = 16;
+pub(crate) const HEADER_BYTES: u64 = 16;
 
 /// A child of a group, as stored.
-pub(super) type Reference = u64;
+pub(crate) type Reference = u64;
 
 /// The bit that marks a reference to data. A reference with only this bit means empty data.
-pub(super) const DATA: Reference = 1 << 63;
+pub(crate) const DATA: Reference = 1 << 63;
 
 /// The reference to a group without children.
-pub(super) const EMPTY_GROUP: Reference = 0;
+pub(crate) const EMPTY_GROUP: Reference = 0;
 
 /// A stored sample of a property.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct StoredSample {
-    pub(super) data: Reference,
+pub(crate) struct StoredSample {
+    pub(crate) data: Reference,
     /// The data with the dimensions; empty data if the dimensions follow from the number of bytes.
-    pub(super) dimensions: Reference,
-    pub(super) digest: SampleKey,
+    pub(crate) dimensions: Reference,
+    pub(crate) digest: SampleKey,
     /// The number of elements. Each has as many numbers as the property's extent.
-    pub(super) elements: u64,
+    pub(crate) elements: u64,
 }
 
 /// Writes the numbers of a sample as bytes.
 type Emit<'a> = dyn FnMut(&mut dyn Write) -> Result<()> + 'a;
 
 /// Writes or measures a container.
-pub(super) struct Ogawa<'a> {
+pub(crate) struct Ogawa<'a> {
     /// `None` while measuring.
     out: Option<&'a mut dyn Write>,
     at: u64,
@@ -412,7 +412,7 @@ impl Ogawa<'_> {
     ///
     /// # Errors
     /// Those of `build` and `out`; [`Error::Invalid`] if the calls differ.
-    pub(super) fn write(
+    pub(crate) fn write(
         build: impl Fn(&mut Ogawa) -> Result<Vec<Reference>>,
         out: &mut dyn Write,
     ) -> Result<()> {
@@ -431,12 +431,12 @@ impl Ogawa<'_> {
     }
 
     /// Whether this container only measures, which needs no values.
-    pub(super) fn is_measuring(&self) -> bool {
+    pub(crate) fn is_measuring(&self) -> bool {
         self.out.is_none()
     }
 
     /// Writes a group.
-    pub(super) fn group(&mut self, children: &[Reference]) -> Result<Reference> {
+    pub(crate) fn group(&mut self, children: &[Reference]) -> Result<Reference> {
         if children.is_empty() {
             return Ok(EMPTY_GROUP);
         }
@@ -449,7 +449,7 @@ impl Ogawa<'_> {
     }
 
     /// Writes data.
-    pub(super) fn data(&mut self, bytes: &[u8]) -> Result<Reference> {
+    pub(crate) fn data(&mut self, bytes: &[u8]) -> Result<Reference> {
         if bytes.is_empty() {
             return Ok(DATA);
         }
@@ -464,7 +464,7 @@ impl Ogawa<'_> {
     ///
     /// # Errors
     /// Those of `emit` and the output; [`Error::Invalid`] if `emit` writes another number of bytes.
-    pub(super) fn sample(&mut self, elements: u64, byte_count: u64, emit: &mut Emit) -> Result<StoredSample> {
+    pub(crate) fn sample(&mut self, elements: u64, byte_count: u64, emit: &mut Emit) -> Result<StoredSample> {
         let mut sample =
             StoredSample { data: DATA, dimensions: DATA, digest: SampleKey::default(), elements };
         if byte_count == 0 {
@@ -491,7 +491,7 @@ impl Ogawa<'_> {
     }
 
     /// Writes a sample of these bytes.
-    pub(super) fn small_sample(&mut self, elements: u64, bytes: &[u8]) -> Result<StoredSample> {
+    pub(crate) fn small_sample(&mut self, elements: u64, bytes: &[u8]) -> Result<StoredSample> {
         self.sample(elements, bytes.len() as u64, &mut |out| Ok(out.write_all(bytes)?))
     }
 

@@ -12,24 +12,24 @@
 use std::io::Write;
 
 use super::document::{AbcObject, AbcProperty, Ogawa, Pod, StoredSample};
-use crate::data::bounds_of;
-use crate::error::Result;
-use crate::matrix::{IDENTITY, Matrix};
-use crate::number::{write_f32s, write_pieces};
-use crate::options::UpAxis;
+use crate::core::data::bounds_of;
+use crate::core::error::Result;
+use crate::core::matrix::{IDENTITY, Matrix};
+use crate::core::number::{write_f32s, write_pieces};
+use crate::core::options::UpAxis;
 
 /// The names of the objects. They are the same in all files, because programs that play a file per frame look
 /// for the same object in each.
-pub(super) const TRANSFORM: &str = "surface";
-pub(super) const MESH: &str = "surfaceShape";
+pub(crate) const TRANSFORM: &str = "surface";
+pub(crate) const MESH: &str = "surfaceShape";
 
 /// The name of the transform of points beside a mesh: in the file of a frame, and in a sequence.
-pub(super) const POINTS: &str = "spray";
-pub(super) const SEQUENCE_POINTS: &str = "surface_spray";
+pub(crate) const POINTS: &str = "spray";
+pub(crate) const SEQUENCE_POINTS: &str = "surface_spray";
 
 /// The transform of positions into a world with Y up. The positions are relative to `origin`; both use axes
 /// in which `up` points up.
-pub(super) fn to_world(up: UpAxis, [x, y, z]: [f64; 3]) -> Matrix {
+pub(crate) fn to_world(up: UpAxis, [x, y, z]: [f64; 3]) -> Matrix {
     match up {
         UpAxis::Y => [IDENTITY[0], IDENTITY[1], IDENTITY[2], [x, y, z, 1.0]],
         UpAxis::Z => {
@@ -39,7 +39,7 @@ pub(super) fn to_world(up: UpAxis, [x, y, z]: [f64; 3]) -> Matrix {
 }
 
 /// The names of properties.
-pub(super) mod names {
+pub(crate) mod names {
     pub(crate) const GEOMETRY: &str = ".geom";
     pub(crate) const POSITIONS: &str = "P";
     pub(crate) const CORNERS: &str = ".faceIndices";
@@ -59,18 +59,18 @@ pub(super) mod names {
 
 /// The type of the values of an attribute.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct ParamType {
-    pub(super) pod: Pod,
+pub(crate) struct ParamType {
+    pub(crate) pod: Pod,
     /// Numbers per element.
-    pub(super) extent: u8,
+    pub(crate) extent: u8,
     /// Elements per vertex.
-    pub(super) elements: usize,
-    pub(super) interpretation: &'static str,
+    pub(crate) elements: usize,
+    pub(crate) interpretation: &'static str,
 }
 
 impl ParamType {
     /// Floats: a vector if the arity is 2 or 3, else `arity` separate numbers per vertex.
-    pub(super) fn numbers(arity: usize) -> ParamType {
+    pub(crate) fn numbers(arity: usize) -> ParamType {
         let vector = |extent| ParamType { extent, interpretation: "vector", ..ParamType::many(Pod::F32, 1) };
         match arity {
             2 => vector(2),
@@ -80,20 +80,20 @@ impl ParamType {
     }
 
     /// A colour: RGBA if the arity is 4, else RGB.
-    pub(super) fn color(arity: usize) -> ParamType {
+    pub(crate) fn color(arity: usize) -> ParamType {
         let (extent, interpretation) = if arity == 4 { (4, "rgba") } else { (3, "rgb") };
         ParamType { extent, interpretation, ..ParamType::many(Pod::F32, 1) }
     }
 
     /// `elements` separate numbers per vertex, which are not components of a vector.
-    pub(super) fn many(pod: Pod, elements: usize) -> ParamType {
+    pub(crate) fn many(pod: Pod, elements: usize) -> ParamType {
         ParamType { pod, extent: 1, elements, interpretation: "" }
     }
 
     const NORMAL: ParamType = ParamType { pod: Pod::F32, extent: 3, elements: 1, interpretation: "normal" };
 
     /// The metadata of an attribute with a value per vertex. The keys are sorted.
-    pub(super) fn metadata(&self) -> String {
+    pub(crate) fn metadata(&self) -> String {
         let ParamType { pod, extent, elements, interpretation } = self;
         let meaning = match *interpretation {
             "" => String::new(),
@@ -116,24 +116,24 @@ impl ParamType {
     }
 
     /// An attribute with these samples.
-    pub(super) fn property(&self, name: &str, samples: Vec<StoredSample>) -> AbcProperty {
+    pub(crate) fn property(&self, name: &str, samples: Vec<StoredSample>) -> AbcProperty {
         AbcProperty::array(name, &self.metadata(), (self.pod, self.extent), samples)
     }
 }
 
 /// The samples of a mesh at one time.
 #[derive(Clone, Copy)]
-pub(super) struct FrameSamples {
-    pub(super) bounds: StoredSample,
-    pub(super) positions: StoredSample,
+pub(crate) struct FrameSamples {
+    pub(crate) bounds: StoredSample,
+    pub(crate) positions: StoredSample,
     /// The vertex indices at the faces' corners, and the number of corners of each face.
-    pub(super) faces: [StoredSample; 2],
-    pub(super) normals: StoredSample,
-    pub(super) velocities: Option<StoredSample>,
+    pub(crate) faces: [StoredSample; 2],
+    pub(crate) normals: StoredSample,
+    pub(crate) velocities: Option<StoredSample>,
 }
 
 /// The transform of a mesh, and its samples, one for each time.
-pub(super) struct MeshSamples {
+pub(crate) struct MeshSamples {
     matrix: Matrix,
     bounds: Vec<StoredSample>,
     positions: Vec<StoredSample>,
@@ -146,12 +146,12 @@ pub(super) struct MeshSamples {
 
 impl MeshSamples {
     /// No samples yet, with this transform.
-    pub(super) fn at(matrix: Matrix) -> MeshSamples {
+    pub(crate) fn at(matrix: Matrix) -> MeshSamples {
         let [bounds, positions, corners, counts, normals, velocities] = Default::default();
         MeshSamples { matrix, bounds, positions, corners, counts, normals, velocities }
     }
 
-    pub(super) fn push(&mut self, frame: FrameSamples) {
+    pub(crate) fn push(&mut self, frame: FrameSamples) {
         let [corners, counts] = frame.faces;
         self.bounds.push(frame.bounds);
         self.positions.push(frame.positions);
@@ -163,7 +163,7 @@ impl MeshSamples {
 
     /// The transform with the mesh under it. `texture` are its texture coordinates, and `params` the attributes without a
     /// property of their own in the schema.
-    pub(super) fn object(
+    pub(crate) fn object(
         self,
         texture: Option<AbcProperty>,
         params: Vec<AbcProperty>,
@@ -213,17 +213,17 @@ fn transformed(name: &str, matrix: &Matrix, object: AbcObject, ogawa: &mut Ogawa
 }
 
 /// The samples of points at one time.
-pub(super) struct PointSamples {
-    pub(super) bounds: StoredSample,
-    pub(super) positions: StoredSample,
-    pub(super) ids: StoredSample,
-    pub(super) velocities: Option<StoredSample>,
-    pub(super) widths: Option<StoredSample>,
+pub(crate) struct PointSamples {
+    pub(crate) bounds: StoredSample,
+    pub(crate) positions: StoredSample,
+    pub(crate) ids: StoredSample,
+    pub(crate) velocities: Option<StoredSample>,
+    pub(crate) widths: Option<StoredSample>,
 }
 
 impl PointSamples {
     /// The properties of the schema. `params` are the attributes without a property of their own in the schema.
-    pub(super) fn properties(self, params: Vec<AbcProperty>) -> Vec<AbcProperty> {
+    pub(crate) fn properties(self, params: Vec<AbcProperty>) -> Vec<AbcProperty> {
         let real = (Pod::F32, 3);
         let mut geometry = vec![
             AbcProperty::scalar(".selfBnds", "interpretation=box", (Pod::F64, 6), vec![self.bounds]),
@@ -249,7 +249,7 @@ impl PointSamples {
 }
 
 /// Points under a transform with this name. `geometry` are their [properties](PointSamples::properties).
-pub(super) fn points_object(
+pub(crate) fn points_object(
     name: &str,
     matrix: &Matrix,
     geometry: Vec<AbcProperty>,
@@ -283,12 +283,12 @@ fn transform_properties(matrix: &Matrix, ogawa: &mut Ogawa) -> Result<Vec<AbcPro
 }
 
 /// The minimum and maximum corner of the bounding box; zeros without vertices.
-pub(super) fn bounds(positions: &[[f32; 3]]) -> [[f64; 3]; 2] {
+pub(crate) fn bounds(positions: &[[f32; 3]]) -> [[f64; 3]; 2] {
     bounds_of(positions).unwrap_or_default().map(|corner| corner.map(f64::from))
 }
 
 /// Writes the sample of a bounding box.
-pub(super) fn bounds_sample(bounds: [[f64; 3]; 2], ogawa: &mut Ogawa) -> Result<StoredSample> {
+pub(crate) fn bounds_sample(bounds: [[f64; 3]; 2], ogawa: &mut Ogawa) -> Result<StoredSample> {
     ogawa.small_sample(1, &real_bytes(bounds.as_flattened()))
 }
 
@@ -297,7 +297,7 @@ fn real_bytes(numbers: &[f64]) -> Vec<u8> {
 }
 
 /// Writes vectors or single numbers as a sample: `count` elements, each of `extent` numbers.
-pub(super) fn real_sample(
+pub(crate) fn real_sample(
     values: &[f32],
     (count, extent): (u64, u64),
     ogawa: &mut Ogawa,
@@ -307,7 +307,7 @@ pub(super) fn real_sample(
 }
 
 /// Writes the vertex indices of triangles, in Alembic's order, and the number of corners of each.
-pub(super) fn triangle_samples(
+pub(crate) fn triangle_samples(
     triangles: &[[u32; 3]],
     count: u64,
     ogawa: &mut Ogawa,

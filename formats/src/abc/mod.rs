@@ -11,53 +11,48 @@
 //! sample. Programs compute the motion blur of such a mesh from its velocities, in units per second.
 
 mod archive;
-mod document;
-mod mesh;
+mod digest;
+pub(crate) mod document;
+pub(crate) mod mesh;
 mod points;
 mod read;
 mod scene;
 #[cfg(test)]
 mod tests;
 
-use std::borrow::Cow;
-use std::io::{self, Read, Seek, Write};
+use std::io::Write;
 
 pub(crate) use archive::HDF5;
 pub(crate) use points::read_own_points;
 pub use points::read_points;
 pub use read::{read_mesh, read_sample, read_sequence_info, read_times};
 
-use crate::columns::role_of;
-use crate::data::{
+use crate::core::columns::role_of;
+use crate::core::data::{
     AttributeRole, FileAttribute, MeshView, ParticleFrame, Provenance, Values, VertexAttribute, VertexValues,
 };
-use crate::error::{Error, Position, Result};
-use crate::gltf::{
-    COLOR, NORMAL, POSITION, PlacedMesh, SequenceFrame, SequencePlacement, SharedAttribute, TEXTURE,
-    VELOCITY, shared_attributes,
-};
-use crate::limits::Limits;
-use crate::matrix::Matrix;
-use crate::narrow_points::{NarrowPoints, not_finite_notes};
-use crate::number::write_pieces;
-use crate::options::{MeshOptions, UpAxis, WriteOption};
-use crate::provenance::are_points;
-use crate::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleReader};
-use crate::sequence::{check_numbers, held_times};
-use crate::sequence_points::SequencePoints;
-use crate::vertex_attributes::{
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::matrix::Matrix;
+use crate::core::narrow_points::{NarrowPoints, not_finite_notes};
+use crate::core::number::write_pieces;
+use crate::core::options::{MeshOptions, UpAxis, WriteOption};
+use crate::core::placed_mesh::{PlacedMesh, StoredMesh};
+use crate::core::provenance::are_points;
+use crate::core::row::{Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleReader};
+use crate::core::vertex_attributes::{
     Purpose, UsedNames, check_quads, faces, plain_name, purposes, quad_count, string_index,
 };
 use document::{AbcObject, AbcProperty, MAGIC, Ogawa, Pod, StoredSample, Times, write_archive};
 use mesh::{
-    FrameSamples, MeshSamples, POINTS, ParamType, PointSamples, SEQUENCE_POINTS, bounds, bounds_sample,
-    names, points_object, real_sample, to_world, triangle_samples,
+    FrameSamples, MeshSamples, POINTS, ParamType, PointSamples, bounds, bounds_sample, names, points_object,
+    real_sample, to_world, triangle_samples,
 };
 use read::{SampledMesh, bytes_declared, check_single_frame, own_head, own_mesh, read_provenance};
 use scene::{Geometry, Scene};
 
 /// The format's name in errors.
-const FORMAT: &str = "Alembic";
+pub(crate) const FORMAT: &str = "Alembic";
 
 /// The row in the table of formats.
 pub(crate) static ROW: OutputRow = OutputRow {
@@ -104,7 +99,7 @@ pub fn write(
 }
 
 /// Fails if indices do not fit into 31 bits.
-fn check_vertex_count(count: u64) -> Result<()> {
+pub(crate) fn check_vertex_count(count: u64) -> Result<()> {
     if count <= 1 << 31 {
         return Ok(());
     }
@@ -114,7 +109,7 @@ fn check_vertex_count(count: u64) -> Result<()> {
 }
 
 /// The names of the attributes; empty for velocities and texture coordinates, which have properties of their own.
-fn names_of(attributes: &[VertexAttribute]) -> Vec<String> {
+pub(crate) fn names_of(attributes: &[VertexAttribute]) -> Vec<String> {
     let mut used = UsedNames::new(&[]);
     let name = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
         Purpose::Velocity | Purpose::Texture => String::new(),
@@ -161,7 +156,7 @@ fn object(mesh: &MeshView, options: &MeshOptions, names: &[String], ogawa: &mut 
 }
 
 /// For each attribute, whether it has integers that need 64 bits.
-fn are_wide(attributes: &[VertexAttribute]) -> Vec<bool> {
+pub(crate) fn are_wide(attributes: &[VertexAttribute]) -> Vec<bool> {
     let is_wide = |attribute: &VertexAttribute| match attribute.values {
         VertexValues::Integers(values) => values.iter().any(|&value| i32::try_from(value).is_err()),
         VertexValues::Numbers(_) | VertexValues::Strings { .. } => false,
@@ -231,7 +226,7 @@ pub fn write_particles(
 }
 
 /// The properties of points, with a sample of each. The attributes other than ids and widths get these names.
-fn point_geometry(
+pub(crate) fn point_geometry(
     points: &NarrowPoints,
     names: &[String],
     are_wide: &[bool],
@@ -354,235 +349,20 @@ fn polygon_samples(
     Ok([corners, counts])
 }
 
-// Writes a sequence as one mesh, and the points beside it, with one or two samples per frame.
-//
-//   frames    5    6      9    10        6 is shown until 9
-//   samples   5    6   8.99    9    10   8.99 refers to the data of 6
-//
-// At a time between two samples, programs show the mesh of the earlier or of the nearer one, or blend the
-// two if they have the same number of vertices. Where frames are missing or have the same number of
-// vertices or of points, the second sample, just before the next frame, prevents this. Frame n is at n / fps
-// seconds.
-//
-// The writer reads each array of a frame from the frame's file, a `.glb` of this crate, just before writing
-// the array. So only one array of one frame, or the points of one frame, are in memory at a time.
-
-/// Writes a sequence of frames, whose numbers must increase, and the points beside their meshes. `open` opens the
-/// file of a frame, by its index. Returns notes on attributes that are renamed, or omitted because the frames
-/// differ in them.
-///
-/// # Errors
-///
-/// [`Error::Io`] if a file cannot be read or `out` fails; [`Error::Invalid`] if a document is damaged, a file
-/// changed, numbers do not increase, or there are no frames; [`Error::Unsupported`] for numbers beyond 2⁵³;
-/// [`Error::TooLarge`] for a frame with more than 2³¹ vertices; those of reading the points.
-pub fn write_sequence<R: Read + Seek>(
-    frames: &[SequenceFrame],
-    points: Option<&SequencePoints>,
-    fps: f64,
-    provenance: &Provenance,
-    open: impl Fn(usize) -> io::Result<R>,
-    out: &mut impl Write,
-) -> Result<Vec<String>> {
-    let (attributes, mut notes) = sequence_attributes(frames)?;
-    let placement = SequencePlacement::of(frames, points.is_some(), FORMAT)?;
-    let sequence = AbcSequence { frames, placement, attributes, points };
-    let times = Times::Frames { times: sequence.times()?, fps };
-    let objects = |ogawa: &mut Ogawa| {
-        let mut objects = vec![sequence.object(&open, ogawa)?];
-        objects.extend(points.map(|points| sequence.points_object(points, ogawa)).transpose()?);
-        Ok(objects)
-    };
-    write_archive(provenance, &times, objects, out)?;
-    notes.extend(points.into_iter().flat_map(SequencePoints::notes).cloned());
-    Ok(notes)
-}
-
-/// A vertex attribute to write.
-struct AbcAttribute {
-    /// Its name in the frames' `.glb` files.
-    semantic: String,
-    name: String,
-    kind: ParamType,
-}
-
-struct AbcSequence<'a> {
-    frames: &'a [SequenceFrame],
-    placement: SequencePlacement,
-    /// All attributes to write, including the velocities.
-    attributes: Vec<AbcAttribute>,
-    points: Option<&'a SequencePoints<'a>>,
-}
-
-impl AbcSequence<'_> {
-    /// The times of the samples, in frames.
-    fn times(&self) -> Result<Vec<f64>> {
-        if self.frames.is_empty() {
-            return Err(Error::invalid(FORMAT, Position::File, "the sequence has no frames"));
-        }
-        check_numbers(FORMAT, self.frames.iter().map(|frame| (frame.name.as_str(), frame.code)))?;
-        for frame in self.frames {
-            check_vertex_count(frame.file.vertex_count() as u64)?;
-        }
-        Ok((0..self.frames.len()).flat_map(|index| self.times_of(index)).collect())
-    }
-
-    /// The times of the samples of a frame, in frames.
-    fn times_of(&self, index: usize) -> impl Iterator<Item = f64> {
-        let frame = &self.frames[index];
-        let has_as_many_points = self.points.is_some_and(|points| points.is_as_large_as_next(index));
-        let needs_hold = |next: &&SequenceFrame| {
-            next.code - frame.code > 1
-                || next.file.vertex_count() == frame.file.vertex_count()
-                || has_as_many_points
-        };
-        held_times(frame.code, self.frames.get(index + 1).filter(needs_hold).map(|next| next.code))
-    }
-
-    /// The points beside the meshes.
-    fn points_object(&self, points: &SequencePoints, ogawa: &mut Ogawa) -> Result<AbcObject> {
-        let template = points.template();
-        let typed = NarrowPoints::of(&template, FORMAT)?;
-        let (names, are_wide) = (names_of(&typed.others()), are_wide(&typed.others()));
-        let mut all: Vec<AbcProperty> = Vec::new();
-        for index in 0..self.frames.len() {
-            let frame = points.frame(index)?;
-            let frame = NarrowPoints::around(&frame, points.origin, FORMAT)?;
-            let geometry = point_geometry(&frame, &names, &are_wide, ogawa)?;
-            for _ in self.times_of(index) {
-                if all.is_empty() {
-                    all.clone_from(&geometry);
-                } else {
-                    all.iter_mut().zip(&geometry).for_each(|(property, later)| property.append(later));
-                }
-            }
-        }
-        points_object(SEQUENCE_POINTS, &to_world(self.placement.up, points.origin), all, ogawa)
-    }
-
-    fn object<R: Read + Seek>(
-        &self,
-        open: &impl Fn(usize) -> io::Result<R>,
-        ogawa: &mut Ogawa,
-    ) -> Result<AbcObject> {
-        let SequencePlacement { up, origin } = self.placement;
-        let mut samples = MeshSamples::at(to_world(up, origin));
-        let mut params: Vec<Vec<StoredSample>> = vec![Vec::new(); self.attributes.len()];
-        for index in 0..self.frames.len() {
-            let (frame, values) = self.frame(index, open, ogawa)?;
-            for _ in self.times_of(index) {
-                samples.push(frame);
-                params.iter_mut().zip(&values).for_each(|(samples, sample)| samples.push(*sample));
-            }
-        }
-        let (mut texture, mut others) = (None, Vec::new());
-        for (attribute, samples) in self.attributes.iter().zip(params) {
-            if attribute.is_texture() {
-                texture = Some(attribute.kind.property(names::TEXTURE, samples));
-            } else if !attribute.is_velocity() {
-                others.push(attribute.kind.property(&attribute.name, samples));
-            }
-        }
-        samples.object(texture, others, ogawa)
-    }
-
-    /// Writes the arrays of a frame. Returns the samples of the mesh, and those of the attributes.
-    fn frame<R: Read + Seek>(
-        &self,
-        index: usize,
-        open: &impl Fn(usize) -> io::Result<R>,
-        ogawa: &mut Ogawa,
-    ) -> Result<(FrameSamples, Vec<StoredSample>)> {
-        let file = &self.frames[index].file;
-        let shift = self.placement.shift(file)?;
-        let (vertices, triangles) = (file.vertex_count() as u64, file.triangle_count()? as u64);
-        let mut values = Vec::new();
-        let mut reals = |semantic: &str, extent: u64, per_vertex: u64, ogawa: &mut Ogawa| {
-            if !ogawa.is_measuring() {
-                file.read_attribute(semantic, shift, &mut open(index)?, &mut values)?;
-            }
-            real_sample(&values, (vertices * per_vertex, extent), ogawa)
-        };
-        let positions = reals(POSITION, 3, 1, ogawa)?;
-        let mut corners = Vec::new();
-        if !ogawa.is_measuring() {
-            file.read_triangles(&mut open(index)?, &mut corners)?;
-        }
-        let faces = triangle_samples(&corners, triangles, ogawa)?;
-        drop(corners);
-        let bounds = file.shifted_bounds(shift)?.map(|corner| corner.map(f64::from));
-        let mut frame = FrameSamples {
-            bounds: bounds_sample(bounds, ogawa)?,
-            positions,
-            faces,
-            normals: reals(NORMAL, 3, 1, ogawa)?,
-            velocities: None,
-        };
-        let mut samples = Vec::new();
-        for attribute in &self.attributes {
-            let ParamType { extent, elements, .. } = attribute.kind;
-            let sample = reals(&attribute.semantic, extent.into(), elements as u64, ogawa)?;
-            if attribute.is_velocity() {
-                frame.velocities = Some(sample);
-            }
-            samples.push(sample);
-        }
-        Ok((frame, samples))
-    }
-}
-
-impl AbcAttribute {
-    fn is_velocity(&self) -> bool {
-        self.semantic == VELOCITY && self.kind == ParamType::numbers(3)
-    }
-
-    /// Whether it has texture coordinates.
-    fn is_texture(&self) -> bool {
-        self.semantic == TEXTURE && self.kind == ParamType::numbers(2)
-    }
-}
-
-/// The attributes that all frames with a mesh have, and notes on the others.
-fn sequence_attributes(frames: &[SequenceFrame]) -> Result<(Vec<AbcAttribute>, Vec<String>)> {
-    let (shared, mut notes) = shared_attributes(frames)?;
-    let (mut found, mut used) = (Vec::new(), UsedNames::new(&[]));
-    for SharedAttribute { semantic, name, arity } in shared {
-        let wanted = plain_name(&name);
-        let kind = match (semantic.as_str(), arity) {
-            (COLOR, 3 | 4) => ParamType::color(arity),
-            _ => ParamType::numbers(arity),
-        };
-        let mut attribute = AbcAttribute { semantic, name: String::new(), kind };
-        if !attribute.is_velocity() && !attribute.is_texture() {
-            attribute.name = used.take(&wanted);
-            if attribute.name != wanted {
-                notes.push(format!("{} is named {} in the sequence", attribute.semantic, attribute.name));
-            }
-        }
-        found.push(attribute);
-    }
-    Ok((found, notes))
-}
-
-// Converts an archive with one frame to a `.glb` of the same mesh: sequences are assembled from `.glb`
-// files.
+// Reads the mesh of an archive of this crate.
 
 /// Whether a file that starts with these bytes is an archive.
 pub fn is_archive(head: &[u8]) -> bool {
     head.starts_with(&MAGIC)
 }
 
-/// Converts an archive with one frame to a `.glb`. Also returns notes on attributes that a `.glb` does not
-/// hold exactly. Frees owned bytes before it makes the `.glb`, so that the two are not in memory at once.
+/// Reads the mesh of an archive of this crate with one frame, as it is stored.
 ///
 /// # Errors
 ///
-/// Those of [`read_mesh`] and of [`crate::gltf::write_glb`].
-pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(Vec<u8>, Vec<String>)> {
-    let bytes = bytes.into();
-    let byte_count = bytes.len();
-    let source = &*bytes;
-    let scene = Scene::open(&source, limits)?;
+/// Those of [`read_mesh`].
+pub(crate) fn read_stored(bytes: &[u8], limits: &Limits) -> Result<StoredMesh> {
+    let scene = Scene::open(&bytes, limits)?;
     let mesh = own_mesh(&scene)?;
     check_single_frame(&scene, limits)?;
     let SampledMesh { positions, normals, triangles } = SampledMesh::read(&scene, mesh, None)?;
@@ -592,11 +372,9 @@ pub fn to_glb<'a>(bytes: impl Into<Cow<'a, [u8]>>, limits: &Limits) -> Result<(V
     }
     let (up, origin) = placement(&scene.world(mesh, None)?)?;
     let attributes = frame_attributes(&scene, mesh, positions.len())?;
-    let provenance = own_head(&bytes).unwrap_or_default();
-    drop(scene);
-    drop(bytes);
+    let provenance = own_head(bytes).unwrap_or_default();
     let [positions, normals] = [positions, normals].map(Vec::into_flattened);
-    PlacedMesh { positions, normals, triangles, origin, attributes }.to_glb(up, &provenance, byte_count)
+    Ok(StoredMesh { mesh: PlacedMesh { positions, normals, triangles, origin, attributes }, up, provenance })
 }
 
 /// Reads the vertex attributes of an archive of this crate with one frame, except normals, under their own

@@ -15,15 +15,15 @@ use super::mesh::{names, to_world};
 use super::placement;
 use super::read::{MESHES, is_own_sequence};
 use super::scene::{Geometry, GeometryKind, Scene, vectors};
-use crate::batches::ReadAt;
-use crate::container::{ContainerFile, ContainerFrames, ContainerReader, Sample, frame_at};
-use crate::data::{FilePositions, ParticleFrame, Values};
-use crate::error::Result;
-use crate::limits::Limits;
-use crate::matrix::{IDENTITY, Matrix, change_vectors, determinant, normal_transform, transformed};
-use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
-use crate::options::UpAxis;
-use crate::text::excerpt;
+use crate::core::batches::ReadAt;
+use crate::core::container::{ContainerFile, ContainerFrames, ContainerReader, Sample, frame_at};
+use crate::core::data::{FilePositions, ParticleFrame, Values};
+use crate::core::error::Result;
+use crate::core::limits::Limits;
+use crate::core::matrix::{IDENTITY, Matrix, change_vectors, determinant, normal_transform, transformed};
+use crate::core::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
+use crate::core::options::UpAxis;
+use crate::core::text::excerpt;
 
 pub(super) const READER: ContainerReader = ContainerReader {
     meshes: Some(MESHES),

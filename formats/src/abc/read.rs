@@ -9,14 +9,14 @@ use super::document::{HEADER_BYTES, Pod, ROOT_CHILDREN};
 use super::mesh::names;
 use super::points::frame_numbers;
 use super::scene::{Geometry, GeometryKind, Scene, vectors};
-use crate::batches::SeekFile;
-use crate::container::{SceneMeshReader, frame_at};
-use crate::data::MeshData;
-use crate::error::{Error, Position, Result};
-use crate::gltf::{SEQUENCE_FRAMES, SequenceInfo};
-use crate::limits::Limits;
-use crate::matrix::{determinant, normal_transform, transformed};
-use crate::sequence::MOMENTS;
+use crate::core::batches::SeekFile;
+use crate::core::container::{SceneMeshReader, frame_at};
+use crate::core::data::MeshData;
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::matrix::{determinant, normal_transform, transformed};
+use crate::core::sequence::MOMENTS;
+use crate::core::sequence::{SEQUENCE_FRAMES, SequenceInfo};
 
 /// The name of the attribute in the property for velocities.
 pub(super) const VELOCITY: &str = "velocity";

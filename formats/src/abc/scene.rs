@@ -12,13 +12,13 @@ use super::FORMAT;
 use super::archive::{Archive, ObjectHeader, PropertyHeader, TIME_TOLERANCE, entry};
 use super::document::Pod;
 use super::mesh::names;
-use crate::batches::ReadAt;
-use crate::data::Values;
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
-use crate::matrix::{IDENTITY, Matrix, product, rotation};
-use crate::number::wide;
-use crate::text::{excerpt, listed};
+use crate::core::batches::ReadAt;
+use crate::core::data::Values;
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::matrix::{IDENTITY, Matrix, product, rotation};
+use crate::core::number::wide;
+use crate::core::text::{excerpt, listed};
 
 /// The limit of objects inside one another: more than any scene has.
 const DEPTH_MAX: usize = 1024;

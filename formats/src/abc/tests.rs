@@ -7,9 +7,9 @@ use super::points::{READER, frame_numbers};
 use super::read::MESHES;
 use super::scene::operation_matrix;
 use super::*;
-use crate::container::{ContainerFile, OpenFurther};
-use crate::data::{FilePositions, ParticleFrame};
-use crate::matrix::{IDENTITY, transformed};
+use crate::core::container::{ContainerFile, OpenFurther};
+use crate::core::data::{FilePositions, ParticleFrame};
+use crate::core::matrix::{IDENTITY, transformed};
 
 /// The seed of the fuzz target, which the tests with damaged files also use.
 const SEED: &[u8] = include_bytes!("../../../tests/fuzz/corpus/abc/points.abc");
@@ -107,7 +107,7 @@ fn points(
 }
 
 fn with_file<T>(bytes: &[u8], run: impl FnOnce(&ContainerFile) -> T) -> T {
-    let open: &OpenFurther = &|_| Err(io::ErrorKind::NotFound.into());
+    let open: &OpenFurther = &|_| Err(std::io::ErrorKind::NotFound.into());
     run(&ContainerFile { file: &bytes, name: "a.abc", open })
 }
 

@@ -24,6 +24,7 @@
 //!
 //! The layout was derived from files of Houdini 13 to 18.5 and their text versions.
 
+pub mod bgeo;
 mod tokens;
 mod values;
 
@@ -32,15 +33,15 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use crate::blosc::decode_frame;
-use crate::bytes::{Cursor, Endian};
-use crate::columns::role_of;
-use crate::data::{FilePositions, ParticleFrame, Values};
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, frame_of};
-use crate::number::{self, NumberType, components, divided};
-use crate::row::{FormatRow, ParticleReader};
+use crate::core::blosc::decode_frame;
+use crate::core::bytes::{Cursor, Endian};
+use crate::core::columns::role_of;
+use crate::core::data::{FilePositions, ParticleFrame, Values};
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::named_arrays::{NamedArray, frame_of};
+use crate::core::number::{self, NumberType, components, divided};
+use crate::core::row::{FormatRow, ParticleReader};
 use tokens::{JsonToken, TokenWalk, is_binary, text_count_max};
 use values::{numbers, tuples};
 

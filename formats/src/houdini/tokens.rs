@@ -7,12 +7,12 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 
 use super::FORMAT;
-use crate::bytes::{Cursor, Endian};
-use crate::data::Values;
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
-use crate::number::NumberType;
-use crate::text::excerpt;
+use crate::core::bytes::{Cursor, Endian};
+use crate::core::data::Values;
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::number::NumberType;
+use crate::core::text::excerpt;
 
 /// A cursor over the tokens. It tracks its location for errors: the offset, and the keys on the path to it.
 pub(super) struct TokenWalk<'a> {

@@ -14,12 +14,12 @@
 
 use super::FORMAT;
 use super::tokens::{JsonToken, TokenWalk};
-use crate::bytes::Endian;
-use crate::data::Values;
-use crate::error::Result;
-use crate::limits::Limits;
-use crate::number::{self, NumberType, interleaved, of_any_type};
-use crate::text::excerpt;
+use crate::core::bytes::Endian;
+use crate::core::data::Values;
+use crate::core::error::Result;
+use crate::core::limits::Limits;
+use crate::core::number::{self, NumberType, interleaved, of_any_type};
+use crate::core::text::excerpt;
 
 /// The type in which values are kept, for Houdini's name of a storage.
 fn storage_type(name: &str) -> Option<NumberType> {

@@ -15,10 +15,10 @@ use rayon::prelude::*;
 use super::FORMAT;
 use super::header::{Element, PropertyType};
 use super::rows::RecordReader;
-use crate::error::{Error, Position, Result};
-use crate::number::NumberType;
-use crate::records::{Slots, Target};
-use crate::text::{line_number, parse_number};
+use crate::core::error::{Error, Position, Result};
+use crate::core::number::NumberType;
+use crate::core::records::{Slots, Target};
+use crate::core::text::{line_number, parse_number};
 
 /// Size of a part: large enough to make the cost of starting one negligible, small enough to share the work.
 const PART_BYTES: usize = 1 << 20;
@@ -304,7 +304,7 @@ impl<'a> BodyLines<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::number::NumberType::{F32, I32};
+    use crate::core::number::NumberType::{F32, I32};
 
     const HEADER: &str = "ply\nformat ascii 1.0\nelement vertex 60\nproperty float x\nproperty int y\n\
                           property list uchar int list\nend_header\n";

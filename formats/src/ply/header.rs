@@ -5,12 +5,12 @@
 //! `end_header`, of the same kind as that of the first line.
 
 use super::FORMAT;
-use crate::bytes::Endian;
-use crate::columns::{Columns, group_columns};
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
-use crate::number::NumberType;
-use crate::text::{Lines, excerpt};
+use crate::core::bytes::Endian;
+use crate::core::columns::{Columns, group_columns};
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::number::NumberType;
+use crate::core::text::{Lines, excerpt};
 
 /// The encoding of the records after the header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

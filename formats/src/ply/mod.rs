@@ -10,7 +10,7 @@
 //!   x y z vx vy vz id | x y z vx ..       packed records, or one line each
 //! ```
 //!
-//! The format does not define the meaning of properties; [`crate::columns`] recognises it by their names.
+//! The format does not define the meaning of properties; [`crate::core::columns`] recognises it by their names.
 //! Positions and attributes keep the precision of the file. Integer types that [`crate::Values`] lacks become
 //! the next wider type. A colour of 16-bit integers has the range 0..=65535.
 //!
@@ -27,20 +27,20 @@ use std::sync::Arc;
 pub use header::{Element, Encoding, PlyHeader, Property, PropertyType, read_header};
 pub use write::{attribute_notes, particle_notes, write_particles};
 
-use crate::batches::Records;
-use crate::bytes::Endian;
-use crate::columns::{Columns, Group};
-use crate::data::{AttributeRole, FileAttribute, FilePositions, MeshData, ParticleFrame, Values};
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
-use crate::number::NumberType;
-use crate::provenance::from_comments;
-use crate::records::{RecordLayout, Slots, Target, gather, gather_part};
-use crate::row::{
+use crate::core::batches::Records;
+use crate::core::bytes::Endian;
+use crate::core::columns::{Columns, Group};
+use crate::core::data::{AttributeRole, FileAttribute, FilePositions, MeshData, ParticleFrame, Values};
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::number::NumberType;
+use crate::core::provenance::from_comments;
+use crate::core::records::{RecordLayout, Slots, Target, gather, gather_part};
+use crate::core::row::{
     Completeness, Content, FormatRow, HeadCheck, Integrity, MeshEncoder, MeshWriter, OutputRow,
     ParticleReader, ParticleWriter,
 };
-use crate::text::{excerpt, excerpts};
+use crate::core::text::{excerpt, excerpts};
 use rows::{RecordReader, checked_binary_count, checked_count, rows_of, scalar_offsets};
 
 /// The format's name in errors.

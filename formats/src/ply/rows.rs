@@ -5,9 +5,9 @@
 use super::FORMAT;
 use super::ascii::BodyLines;
 use super::header::{Element, PlyHeader, Property, PropertyType};
-use crate::bytes::Cursor;
-use crate::error::{Error, Position, Result};
-use crate::number::NumberType;
+use crate::core::bytes::Cursor;
+use crate::core::error::{Error, Position, Result};
+use crate::core::number::NumberType;
 
 /// A read position in the body.
 pub(super) enum RecordReader<'a> {

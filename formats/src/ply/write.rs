@@ -15,13 +15,13 @@
 use std::borrow::Cow;
 use std::io::Write;
 
-use crate::data::{
+use crate::core::data::{
     AttributeRole, FileAttribute, FilePositions, MeshView, ParticleFrame, Provenance, Values,
     VertexAttribute, world,
 };
-use crate::error::{Error, Result};
-use crate::provenance::{GENERATOR, comments, escape};
-use crate::vertex_attributes::{
+use crate::core::error::{Error, Result};
+use crate::core::provenance::{GENERATOR, comments, escape};
+use crate::core::vertex_attributes::{
     Purpose, StoredNumbers, UsedNames, check, clamp_note, plain_name, purposes, written,
 };
 

@@ -21,10 +21,10 @@ use std::sync::Arc;
 use super::FORMAT;
 use super::layer::{Layer, LayerArc, ListEdits, TimeSamples, Value};
 use super::package::{LayerBytes, Package};
-use crate::container::{ContainerFile, OpenFurther, folder_of, further_path};
-use crate::error::{Error, Result};
-use crate::limits::Limits;
-use crate::text::{excerpt, excerpts};
+use crate::core::container::{ContainerFile, OpenFurther, folder_of, further_path};
+use crate::core::error::{Error, Result};
+use crate::core::limits::Limits;
+use crate::core::text::{excerpt, excerpts};
 
 /// The layers of a file, and those to which it refers.
 pub(crate) struct ComposedStage<'a> {

@@ -15,13 +15,13 @@ use std::sync::Arc;
 
 use super::FORMAT;
 use super::package::{LayerBytes, LimitedBytes};
-use crate::data::Values;
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
-use crate::named_arrays::NamedArray;
-use crate::number::NumberType;
-pub(crate) use crate::number::wide;
-use crate::usdc::CrateFile;
+use crate::core::data::Values;
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::named_arrays::NamedArray;
+use crate::core::number::NumberType;
+pub(crate) use crate::core::number::wide;
+use crate::usd::usdc::CrateFile;
 
 /// A layer.
 pub(crate) struct Layer<'a> {
@@ -237,8 +237,8 @@ impl<'a> Layer<'a> {
     /// [`Error::Unsupported`] if it is neither; otherwise those of its form.
     pub(crate) fn read(file: LayerBytes<'a>, limits: &Limits) -> Result<Layer<'a>> {
         match &file.head()? {
-            b"#usda" => crate::usda::read_layer(file, limits),
-            _ => crate::usdc::read_layer(file, limits),
+            b"#usda" => crate::usd::usda::read_layer(file, limits),
+            _ => crate::usd::usdc::read_layer(file, limits),
         }
     }
 
@@ -310,7 +310,7 @@ impl<'a> Layer<'a> {
         let (arity, values) = match (place, &self.source) {
             (ArrayPlace::Binary(rep), LayerSource::Binary(file)) => file.array(*rep, name)?,
             (ArrayPlace::Text(kind, start, end, line), LayerSource::Text(file)) => {
-                crate::usda::read_array(file, *kind, *start..*end, *line)?
+                crate::usd::usda::read_array(file, *kind, *start..*end, *line)?
             }
             _ => return Err(unexpected(name)),
         };

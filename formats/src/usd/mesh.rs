@@ -9,13 +9,13 @@ use super::layer::wide;
 use super::package::LayerBytes;
 use super::place::{PrimMatrix, ancestors, cofactors, determinant, transformed};
 use super::points::distinct;
-use crate::container::{OpenFurther, SceneMeshReader};
-use crate::data::{MeshData, Values};
-use crate::error::{Error, Position, Result};
-use crate::gltf::ReadExternal;
-use crate::limits::Limits;
-use crate::named_arrays::NamedArray;
-use crate::text::excerpt;
+use crate::core::container::{OpenFurther, SceneMeshReader};
+use crate::core::data::{MeshData, Values};
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::named_arrays::NamedArray;
+use crate::core::row::ReadExternal;
+use crate::core::text::excerpt;
 
 /// How the meshes of stages are read.
 pub(crate) const READER: SceneMeshReader = SceneMeshReader {

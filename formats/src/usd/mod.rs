@@ -16,11 +16,13 @@ mod place;
 pub(crate) mod points;
 #[cfg(test)]
 mod tests;
+pub mod usda;
+pub mod usdc;
 
-use crate::data::{MeshView, VertexAttribute, VertexValues, bounds_of};
-use crate::narrow_points::NarrowPoints;
-use crate::provenance::are_points;
-use crate::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
+use crate::core::data::{MeshView, VertexAttribute, VertexValues, bounds_of};
+use crate::core::narrow_points::NarrowPoints;
+use crate::core::provenance::are_points;
+use crate::core::vertex_attributes::{Purpose, UsedNames, plain_name, purposes};
 
 /// The format's name in errors.
 pub(crate) const FORMAT: &str = "USD";
@@ -65,10 +67,10 @@ pub(crate) fn attribute_of(property: &str) -> Option<&str> {
 pub(crate) fn declares_mesh(head: &[u8]) -> bool {
     let contains = |word: &[u8]| head.windows(word.len()).any(|part| part == word);
     let (is_ours, recorded) = match head {
-        [b'#', ..] => (contains(b"dictionary meniscus = {"), crate::usda::read_provenance(head)),
+        [b'#', ..] => (contains(b"dictionary meniscus = {"), crate::usd::usda::read_provenance(head)),
         _ => {
             let has_comment = |rest: &[u8]| rest.starts_with(b"# ") || rest.starts_with(b"end_header\n");
-            (head.get(88..).is_some_and(has_comment), crate::usdc::read_provenance(head))
+            (head.get(88..).is_some_and(has_comment), crate::usd::usdc::read_provenance(head))
         }
     };
     let has_points = are_points(&recorded.unwrap_or_default());
@@ -82,7 +84,7 @@ pub(crate) fn has_clips(head: &[u8]) -> bool {
     head.starts_with(b"#usda") && head.windows(9).any(|part| part == b"clips = {")
 }
 
-/// A property of a mesh that has time samples. A [stage](crate::usda::UsdStage) declares these properties.
+/// A property of a mesh that has time samples. A [stage](crate::usd::usda::UsdStage) declares these properties.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SampledProperty {
     /// Its type in USD, such as `point3f[]`.

@@ -6,12 +6,12 @@ use std::io;
 use std::rc::Rc;
 
 use super::FORMAT;
-use crate::batches::ReadAt;
-use crate::bytes::{Cursor, Endian};
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
-use crate::npy::{ArchiveMember, STORED, directory, entries};
-use crate::text::excerpt;
+use crate::core::batches::ReadAt;
+use crate::core::bytes::{Cursor, Endian};
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::text::excerpt;
+use crate::core::zip::{ArchiveMember, STORED, directory, entries};
 
 /// The bytes of a layer: a file, or a part of one.
 #[derive(Clone)]

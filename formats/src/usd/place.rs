@@ -3,12 +3,12 @@
 use super::FORMAT;
 use super::composed::{ComposedStage, StagePrim, StrongestValue};
 use super::layer::Value;
-use crate::data::Values;
-use crate::error::{Error, Result};
-use crate::matrix::{IDENTITY, product, quaternion_rotation, rotation};
-pub(crate) use crate::matrix::{Matrix as PrimMatrix, cofactors, determinant, transformed};
-use crate::named_arrays::NamedArray;
-use crate::text::excerpt;
+use crate::core::data::Values;
+use crate::core::error::{Error, Result};
+use crate::core::matrix::{IDENTITY, product, quaternion_rotation, rotation};
+pub(crate) use crate::core::matrix::{Matrix as PrimMatrix, cofactors, determinant, transformed};
+use crate::core::named_arrays::NamedArray;
+use crate::core::text::excerpt;
 
 fn inverse(m: &PrimMatrix) -> Option<PrimMatrix> {
     let (cofactors, determinant) = (cofactors(m), determinant(m));

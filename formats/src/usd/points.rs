@@ -15,16 +15,16 @@ use std::rc::Rc;
 use super::FORMAT;
 use super::composed::{ComposedStage, StagePrim};
 use super::layer::Value;
-use crate::columns::role_of;
-use crate::container::{ContainerFile, ContainerFrames, ContainerReader, Sample, frame_at};
-use crate::data::{AttributeRole, ParticleFrame, Values};
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
-use crate::matrix::{IDENTITY, change_vectors, transformed};
-use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts, placed};
-use crate::number;
-use crate::row::{FormatRow, ParticleReader};
-use crate::text::{excerpt, excerpts};
+use crate::core::columns::role_of;
+use crate::core::container::{ContainerFile, ContainerFrames, ContainerReader, Sample, frame_at};
+use crate::core::data::{AttributeRole, ParticleFrame, Values};
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::matrix::{IDENTITY, change_vectors, transformed};
+use crate::core::named_arrays::{NamedArray, ParticlePart, frame_of_parts, placed};
+use crate::core::number;
+use crate::core::row::{FormatRow, ParticleReader};
+use crate::core::text::{excerpt, excerpts};
 
 /// How frames are read from the text form, the binary form and packages.
 pub(crate) const READER: ParticleReader = ParticleReader::container(ContainerReader {
@@ -166,7 +166,7 @@ impl PointPrims {
             return Ok(found);
         }
         if others.contains_key("Mesh") {
-            return Err(Error::unsupported(FORMAT, crate::MESH_REFUSAL));
+            return Err(Error::unsupported(FORMAT, crate::core::row::MESH_REFUSAL));
         }
         others.remove("");
         let others: Vec<String> =

@@ -4,10 +4,12 @@ use std::io;
 
 use super::mesh;
 use super::points::READER;
-use crate::batches::ReadAt;
-use crate::container::{ContainerFile, Sample};
-use crate::row::ReadParticles;
-use crate::{Error, FilePositions, Limits, ParticleFrame, Result, Values};
+use crate::core::batches::ReadAt;
+use crate::core::container::{ContainerFile, Sample};
+use crate::core::data::{FilePositions, ParticleFrame, Values};
+use crate::core::error::{Error, Result};
+use crate::core::limits::Limits;
+use crate::core::row::ReadParticles;
 
 /// A file in memory that can be opened.
 struct TextInMemory(String);

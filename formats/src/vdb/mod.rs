@@ -39,11 +39,11 @@ pub use read::{
 pub use read_tree::{ConstantTile, GridData, LevelSetData, VectorGridData};
 pub use write::{EncodedVdb, WriteOptions, encode, grid_notes, write};
 
-use crate::bytes::Cursor;
-use crate::error::{Error, Result};
-use crate::options::WriteOption;
-use crate::provenance::from_strings;
-use crate::row::{Content, FormatRow, Integrity, OutputRow, ParticleReader};
+use crate::core::bytes::Cursor;
+use crate::core::error::{Error, Result};
+use crate::core::options::WriteOption;
+use crate::core::provenance::from_strings;
+use crate::core::row::{Content, FormatRow, Integrity, OutputRow, ParticleReader};
 use read::{cursor_of, first_grid_metadata, first_grid_type, last_grid_end};
 
 /// The format's name in errors.

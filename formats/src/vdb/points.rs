@@ -20,14 +20,14 @@ use std::collections::HashMap;
 use super::read::{GridEntry, entries, tree_cursor};
 use super::read_tree::{TreeBudget, ValueStorage, outline_of_tree};
 use super::{FORMAT, MetaValue, TYPE_POINTS, Transform, read_metadata};
-use crate::blosc::decode_frame;
-use crate::bytes::{Cursor, Endian};
-use crate::data::{FilePositions, ParticleFrame, Values};
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
-use crate::number::{self, NumberType};
-use crate::text::{excerpt, excerpts};
+use crate::core::blosc::decode_frame;
+use crate::core::bytes::{Cursor, Endian};
+use crate::core::data::{FilePositions, ParticleFrame, Values};
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
+use crate::core::number::{self, NumberType};
+use crate::core::text::{excerpt, excerpts};
 
 /// Reads the particles of a file: the points of all its grids, in world space.
 ///

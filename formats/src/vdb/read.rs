@@ -13,11 +13,11 @@ use super::{
     DESCRIPTOR_BYTES_MAX, FORMAT, HALF_SUFFIX, MAGIC, META_HALF, MetaValue, TYPE_FLOAT, TYPE_VEC3S,
     Transform, UUID_BYTES, VELOCITY, VERSIONS_READ, read_metadata,
 };
-use crate::bytes::{Cursor, Endian};
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
-use crate::provenance::HEAD_BYTES_MAX;
-use crate::text::excerpt;
+use crate::core::bytes::{Cursor, Endian};
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::provenance::HEAD_BYTES_MAX;
+use crate::core::text::excerpt;
 
 /// A grid of a file.
 #[derive(Clone, Debug)]

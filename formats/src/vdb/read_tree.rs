@@ -11,10 +11,10 @@ use super::{
     NODE4_VOXELS_LOG2, NODE5_LOG2, NODE5_VOXELS_LOG2, Transform, count_ones, inactive, is_on, ones,
     slot_coord,
 };
-use crate::blosc::{decode_frame, inflate_into};
-use crate::bytes::Cursor;
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
+use crate::core::blosc::{decode_frame, inflate_into};
+use crate::core::bytes::Cursor;
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
 
 /// A grid of floats read from a file; a level set if its class says so.
 pub type LevelSetData = GridData<f32>;

@@ -17,7 +17,7 @@ use super::{
     Compression, NODE4_LOG2, NODE5_LOG2, NODE5_VOXELS_LOG2, count_ones, inactive, is_on, ones, slot_coord,
     slot_of,
 };
-use crate::blosc::Encoder;
+use crate::core::blosc::Encoder;
 
 /// A leaf, in tree order.
 pub(super) struct TreeLeaf {

@@ -34,11 +34,11 @@ use super::{
     META_HALF, MetaWriter, NODE4_VOXELS_LOG2, NODE5_VOXELS_LOG2, TYPE_FLOAT, TYPE_VEC3S, VELOCITY,
     VERSION_WRITTEN, count_ones, inactive, ones, push_string,
 };
-use crate::blosc::Encoder;
-use crate::data::{AttributeRole, BandGrid, LevelSetView, Provenance};
-use crate::error::{Error, Position, Result};
-use crate::provenance::{GENERATOR, prefixed};
-use crate::vertex_attributes::UsedNames;
+use crate::core::blosc::Encoder;
+use crate::core::data::{AttributeRole, BandGrid, LevelSetView, Provenance};
+use crate::core::error::{Error, Position, Result};
+use crate::core::provenance::{GENERATOR, prefixed};
+use crate::core::vertex_attributes::UsedNames;
 
 /// Options for writing a level set.
 #[derive(Clone, Debug)]

@@ -19,12 +19,12 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 
 use super::XML;
-use crate::bytes::{Cursor, Endian};
-use crate::data::Values;
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
-use crate::number::NumberType;
-use crate::text::{excerpt, parse_number};
+use crate::core::bytes::{Cursor, Endian};
+use crate::core::data::Values;
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::number::{NumberType, decimals};
+use crate::core::text::excerpt;
 
 /// The encoding of all arrays of a file.
 #[derive(Clone, Copy, Debug)]
@@ -338,45 +338,4 @@ impl DataArray<'_> {
         let what = format!("the array `{}`: {what}", excerpt(&self.name));
         Error::invalid(XML, Position::Offset(self.offset), what)
     }
-}
-
-/// Parses the first `count` words as values of the type that [`NumberType::decode`] returns. The error is the
-/// beginning of the first invalid word.
-pub(crate) fn decimals<'a>(
-    words: impl Iterator<Item = &'a [u8]>,
-    number: NumberType,
-    count: usize,
-) -> std::result::Result<Values, Vec<u8>> {
-    fn parse<'a, T>(
-        words: impl Iterator<Item = &'a [u8]>,
-        count: usize,
-        parse: impl Fn(&'a [u8]) -> Option<T>,
-    ) -> std::result::Result<Vec<T>, Vec<u8>> {
-        let mut values = Vec::with_capacity(count);
-        for word in words.take(count) {
-            values.push(parse(word).ok_or_else(|| word[..word.len().min(24)].to_vec())?);
-        }
-        Ok(values)
-    }
-    fn real<T: fast_float2::FastFloat>(word: &[u8]) -> Option<T> {
-        parse_number(word).filter(|(_, length)| *length == word.len()).map(|(value, _)| value)
-    }
-    fn integer<T: std::str::FromStr>(word: &[u8]) -> Option<T> {
-        std::str::from_utf8(word).ok()?.parse().ok()
-    }
-    Ok(match number {
-        NumberType::F16 | NumberType::F32 => Values::F32(parse(words, count, real)?),
-        NumberType::F64 => Values::F64(parse(words, count, real)?),
-        NumberType::Bool | NumberType::U8 => Values::U8(parse(words, count, integer)?),
-        NumberType::I8 | NumberType::I16 | NumberType::U16 | NumberType::I32 => {
-            Values::I32(parse(words, count, integer)?)
-        }
-        NumberType::U32 | NumberType::I64 => Values::I64(parse(words, count, integer)?),
-        NumberType::U64 => {
-            let integers: Vec<u64> = parse(words, count, integer)?;
-            // `decode` chooses floats if a value exceeds the signed range.
-            let bytes: Vec<u8> = integers.iter().flat_map(|value| value.to_le_bytes()).collect();
-            NumberType::U64.decode(&bytes, Endian::Little)
-        }
-    })
 }

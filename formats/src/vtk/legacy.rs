@@ -21,18 +21,19 @@
 //!
 //! The format has no end mark: a file is complete if no data is missing.
 
-use super::blocks::decimals;
 use super::{
     LEGACY, POLYGON, POLYGONS_NOTE, Points, TRIANGLE_STRIP, add_cells, checked_count, integers, is_face,
-    joined, positions_of,
+    positions_of,
 };
-use crate::bytes::Endian;
-use crate::data::{FilePositions, MeshData, ParticleFrame, Values};
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, ParticlePart};
-use crate::number::NumberType;
-use crate::text::excerpt;
+use crate::core::bytes::Endian;
+use crate::core::data::{FilePositions, MeshData, ParticleFrame, Values};
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::named_arrays::frame_of_pieces;
+use crate::core::named_arrays::{NamedArray, ParticlePart};
+use crate::core::number::NumberType;
+use crate::core::number::decimals;
+use crate::core::text::excerpt;
 
 /// The longest line of text.
 const LINE_BYTES_MAX: usize = 64 << 10;
@@ -45,14 +46,14 @@ const LINE_BYTES_MAX: usize = 64 << 10;
 /// for data sets that are not point sets, [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let (piece, notes) = read_piece(bytes, limits)?;
-    Ok(joined(vec![piece], notes))
+    Ok(frame_of_pieces(vec![piece], notes))
 }
 
 /// Reads the points and their arrays, and notes.
 ///
 /// # Errors
 /// Those of [`read`].
-pub(super) fn read_piece(bytes: &[u8], limits: &Limits) -> Result<(ParticlePart, Vec<String>)> {
+pub(crate) fn read_piece(bytes: &[u8], limits: &Limits) -> Result<(ParticlePart, Vec<String>)> {
     let mut file = File { bytes, at: 0, is_binary: false, limits };
     file.head()?;
     let mut found = LegacyData::default();

@@ -7,30 +7,27 @@
 //! The layouts were derived from files of VTK, meshio, PyVista and SPlisHSPlasH.
 
 mod blocks;
-mod index;
-mod legacy;
+pub(crate) mod legacy;
 mod write;
-mod xml;
+pub(crate) mod xml;
 
 use quick_xml::Reader;
 use quick_xml::events::Event;
 
-pub(crate) use blocks::decimals;
 pub use legacy::{read as read_legacy, read_mesh as read_legacy_mesh};
 pub use write::{attribute_notes, particle_notes, write_mesh, write_particles};
 pub(crate) use xml::neighbor as xml_neighbor;
 pub use xml::{holds_polys, read as read_xml, read_mesh};
 
-use crate::batches::ReadAt;
-use crate::data::{FilePositions, ParticleFrame, Values};
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
-use crate::named_arrays::{ParticlePart, frame_of, joined_parts};
-use crate::neighbor::Neighbor;
-use crate::number;
-use crate::options::WriteOption;
-use crate::provenance::from_strings;
-use crate::row::{
+use crate::core::batches::ReadAt;
+use crate::core::data::{FilePositions, Values};
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::neighbor::Neighbor;
+use crate::core::number;
+use crate::core::options::WriteOption;
+use crate::core::provenance::from_strings;
+use crate::core::row::{
     Content, FormatRow, Integrity, MeshEncoder, MeshWriter, OutputRow, ParticleReader, ParticleWriter,
 };
 use legacy::size_of_type;
@@ -39,7 +36,6 @@ use write::ends_as_written;
 /// The formats' names in errors.
 const LEGACY: &str = "legacy VTK";
 const XML: &str = "VTK XML";
-const INDEX: &str = "ParaView index";
 
 /// The row of the legacy format in the table of formats.
 pub(crate) static LEGACY_ROW: FormatRow = FormatRow {
@@ -69,28 +65,6 @@ pub(crate) static ROW: OutputRow = OutputRow {
     integrity: Integrity::Tail(ends_as_written),
 };
 
-/// The row of the files that list others in the table of formats.
-pub(crate) static INDEX_ROW: FormatRow = FormatRow {
-    particles: Some(ParticleReader::container(index::READER)),
-    ..FormatRow::new(INDEX, INDEX_EXTENSIONS)
-};
-
-/// The extensions of the files that list others. ParaView makes those of series from that of the files.
-const INDEX_EXTENSIONS: &[&str] = &[
-    "pvd",
-    "pvtu",
-    "pvtp",
-    "vtpd",
-    "vtpc",
-    "vtm",
-    "vtk.series",
-    "vtp.series",
-    "vtu.series",
-    "pvtp.series",
-    "pvtu.series",
-    "series",
-];
-
 // Joins the pieces of a data set into one frame.
 
 /// The note for files that also contain a mesh.
@@ -108,15 +82,6 @@ fn positions_of(format: &'static str, values: Values) -> Result<FilePositions> {
     let no_numbers =
         || Error::invalid(format, Position::File, "the coordinates of the points are not numbers");
     number::positions(values).ok_or_else(no_numbers)
-}
-
-/// Joins all points.
-pub(crate) fn joined(pieces: Vec<ParticlePart>, mut notes: Vec<String>) -> ParticleFrame {
-    let ParticlePart { positions, arrays } = joined_parts(pieces, "pieces", &mut notes);
-    // `frame_of` always returns a frame if it gets positions.
-    let mut frame = frame_of(Some(positions), arrays).unwrap_or_default();
-    frame.notes.append(&mut notes);
-    frame
 }
 
 // Converts VTK cells to triangles.

@@ -21,11 +21,11 @@ use std::borrow::Cow;
 use std::io::Write;
 
 use super::XML;
-use crate::data::{FilePositions, MeshView, ParticleFrame, Provenance, Values, VertexAttribute, world};
-use crate::error::Result;
-use crate::options::MeshOptions;
-use crate::provenance::{GENERATOR, prefixed};
-use crate::vertex_attributes::{
+use crate::core::data::{FilePositions, MeshView, ParticleFrame, Provenance, Values, VertexAttribute, world};
+use crate::core::error::Result;
+use crate::core::options::MeshOptions;
+use crate::core::provenance::{GENERATOR, prefixed};
+use crate::core::vertex_attributes::{
     Purpose, StoredNumbers, UsedNames, check, check_quads, faces, purposes, quad_count, written,
 };
 

@@ -19,18 +19,19 @@ use quick_xml::events::{BytesStart, Event};
 
 use super::blocks::{ArrayDecoder, ArrayEncoding, ArrayForm, BlockCompression, DataArray, EncodedArray};
 use super::{
-    POLYGON, POLYGONS_NOTE, Points, TRIANGLE_STRIP, XML, add_cells, checked_count, integers, is_face, joined,
+    POLYGON, POLYGONS_NOTE, Points, TRIANGLE_STRIP, XML, add_cells, checked_count, integers, is_face,
     positions_of,
 };
-use crate::bytes::Endian;
-use crate::data::{FilePositions, MeshData, ParticleFrame};
-use crate::error::{Error, Position, Result};
-use crate::limits::Limits;
-use crate::named_arrays::{NamedArray, ParticlePart};
-use crate::neighbor::Neighbor;
-use crate::number::NumberType;
-use crate::text::excerpt;
-use crate::xml::{self, XmlEvent};
+use crate::core::bytes::Endian;
+use crate::core::data::{FilePositions, MeshData, ParticleFrame};
+use crate::core::error::{Error, Position, Result};
+use crate::core::limits::Limits;
+use crate::core::named_arrays::frame_of_pieces;
+use crate::core::named_arrays::{NamedArray, ParticlePart};
+use crate::core::neighbor::Neighbor;
+use crate::core::number::NumberType;
+use crate::core::text::excerpt;
+use crate::core::xml::{self, XmlEvent};
 
 /// Reads the points of all pieces.
 ///
@@ -41,14 +42,14 @@ use crate::xml::{self, XmlEvent};
 /// `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let (pieces, notes) = read_pieces(bytes, limits)?;
-    Ok(joined(pieces, notes))
+    Ok(frame_of_pieces(pieces, notes))
 }
 
 /// Reads the points of each piece, and notes.
 ///
 /// # Errors
 /// Those of [`read`].
-pub(super) fn read_pieces(bytes: &[u8], limits: &Limits) -> Result<(Vec<ParticlePart>, Vec<String>)> {
+pub(crate) fn read_pieces(bytes: &[u8], limits: &Limits) -> Result<(Vec<ParticlePart>, Vec<String>)> {
     let (mut decoder, pieces, mut notes) = open(bytes, limits)?;
     let mut has_faces = pieces.iter().any(|piece| piece.poly_count > 0 || piece.strip_count > 0);
     for piece in &pieces {
@@ -82,7 +83,7 @@ fn open<'a>(
     Ok((decoder, document.pieces, document.notes))
 }
 
-pub(super) fn utf8<'a>(format: &'static str, text: &'a [u8]) -> Result<&'a str> {
+pub(crate) fn utf8<'a>(format: &'static str, text: &'a [u8]) -> Result<&'a str> {
     std::str::from_utf8(text).map_err(|error| {
         Error::invalid(format, Position::Offset(error.valid_up_to() as u64), "expected UTF-8 text")
     })
@@ -209,7 +210,7 @@ pub(super) fn malformed(at: u64, what: impl Into<String>) -> Error {
 }
 
 /// What a data set of this type contains instead of particles.
-pub(super) fn neighbor_of_type(kind: &str) -> Option<Neighbor> {
+pub(crate) fn neighbor_of_type(kind: &str) -> Option<Neighbor> {
     match kind {
         "PolyData" | "UnstructuredGrid" => None,
         // Collections (.pvd), parallel data sets (.pvtu and .pvtp) and composite ones (.vtm and the like).

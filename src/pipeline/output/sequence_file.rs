@@ -25,8 +25,8 @@ use std::sync::Arc;
 
 use meniscus_formats::gltf::{self, GlbFrame, SEQUENCE_FRAMES, SequenceFrame};
 use meniscus_formats::{
-    Limits, OutputFormat, ParticleFrame, PointFormat, PointsSummary, SequencePoints, abc, read_provenance,
-    usdc,
+    OutputFormat, ParticleFrame, PointFormat, PointsSummary, SequencePoints, becomes_glb, read_provenance,
+    to_glb, write_abc_sequence,
 };
 
 use crate::pipeline::files::atomic_write::{sync_while, write_atomically};
@@ -157,7 +157,7 @@ pub fn write_sequence_file(
                 gltf::write_sequence(&frames, fps, &provenance, open, out)?;
                 Vec::new()
             }
-            SequenceFormat::Abc => abc::write_sequence(&frames, points, fps, &provenance, open, out)?,
+            SequenceFormat::Abc => write_abc_sequence(&frames, points, fps, &provenance, open, out)?,
         });
         Ok(refuse_written(&opened)?)
     };
@@ -248,10 +248,10 @@ impl FrameReader {
         let mut file = open_regular(path)?;
         let mut bytes = Vec::new();
         Read::by_ref(&mut file).take(MAGIC_BYTES).read_to_end(&mut bytes)?;
-        let Some(to_glb) = converter(&bytes) else {
+        if !becomes_glb(&bytes) {
             file.rewind()?;
             return Ok(FrameReader::File(BufReader::new(file)));
-        };
+        }
         last.take();
         file.read_to_end(&mut bytes)?;
         let (glb, notes) = to_glb(bytes, &reading_limits()).map_err(io::Error::other)?;
@@ -263,20 +263,6 @@ impl FrameReader {
 
 /// Enough bytes to recognise an `.abc` or a `.usdc`.
 const MAGIC_BYTES: u64 = 8;
-
-/// Converts the bytes of a file to `.glb`. Also returns notes on attributes that are lost.
-type ToGlb = fn(Vec<u8>, &Limits) -> meniscus_formats::Result<(Vec<u8>, Vec<String>)>;
-
-/// The converter for a file with this head; `None` for a `.glb`, and for files that cannot be read.
-fn converter(head: &[u8]) -> Option<ToGlb> {
-    if abc::is_archive(head) {
-        Some(abc::to_glb)
-    } else if usdc::is_layer(head) {
-        Some(usdc::to_glb)
-    } else {
-        None
-    }
-}
 
 impl Read for FrameReader {
     fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {

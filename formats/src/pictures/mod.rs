@@ -1,0 +1,4 @@
+//! Formats of pictures: OpenEXR and PNG.
+
+pub mod exr;
+pub mod png;

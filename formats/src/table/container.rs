@@ -1,0 +1,88 @@
+//! Opens containers of any format: see [`crate::core::container`].
+//!
+//! [`packed`] turns a sample into bytes that depend on nothing but its particles, whatever else the file has,
+//! and that [`crate::read_particles`] reads.
+
+use crate::core::container::ContainerReader;
+pub use crate::core::container::{ContainerFile, ContainerFrames, OpenFurther, Sample};
+use crate::core::data::MeshData;
+use crate::core::error::{Error, Result};
+use crate::core::limits::Limits;
+use crate::core::row::ReadParticles;
+use crate::table::Format;
+use crate::table::packed::pack;
+use crate::table::probe::ProbedKind;
+
+/// Whether files of this kind are containers.
+pub fn is_container(kind: ProbedKind) -> bool {
+    reader_of(kind).is_some()
+}
+
+/// The frames in a container of this kind.
+///
+/// # Errors
+/// Those of the format's reader: [`Error::Unsupported`] for a file without particles, for example, or if the kind is not
+/// that of a container.
+pub fn frames(kind: ProbedKind, container: &ContainerFile, limits: &Limits) -> Result<ContainerFrames> {
+    (required_reader_of(kind)?.1.open)(container, limits)
+}
+
+/// The particles of one of the frames, by its index, as bytes that [`crate::read_particles`] reads. Equal particles give
+/// equal bytes.
+///
+/// # Errors
+/// Those of [`frames`].
+pub fn packed(
+    kind: ProbedKind,
+    container: &ContainerFile,
+    frames: &ContainerFrames,
+    index: usize,
+    limits: &Limits,
+) -> Result<Vec<u8>> {
+    let (format, _) = required_reader_of(kind)?;
+    Ok(pack(format, &frames.read(container, index, limits)?))
+}
+
+/// Whether the meshes in a file of this kind change with the time; `None` for kinds without scenes.
+///
+/// # Errors
+/// Those of the format's reader: [`Error::Unsupported`] for a scene without meshes, for example.
+pub fn are_meshes_animated(
+    kind: ProbedKind,
+    container: &ContainerFile,
+    limits: &Limits,
+) -> Result<Option<bool>> {
+    let meshes = reader_of(kind).and_then(|(_, reader)| reader.meshes.as_ref());
+    meshes.map(|meshes| (meshes.are_animated)(container, limits)).transpose()
+}
+
+/// The meshes of a scene, as they are in the frame with this number: at this time code of USD, or at the sample
+/// of Alembic that has this number at the frame rate of the samples. Between samples and beyond them, the values
+/// are those that the format defines. Without a number, the first samples are read.
+///
+/// # Errors
+/// As [`are_meshes_animated`]; [`Error::Unsupported`] if the times of samples are not whole frames.
+pub fn scene_mesh(
+    kind: ProbedKind,
+    container: &ContainerFile,
+    number: Option<i64>,
+    limits: &Limits,
+) -> Result<MeshData> {
+    match reader_of(kind).and_then(|(_, reader)| reader.meshes.as_ref()) {
+        Some(meshes) => (meshes.read)(container, number, limits),
+        None => Err(Error::unsupported(kind.name(), "not a scene")),
+    }
+}
+
+fn reader_of(kind: ProbedKind) -> Option<(Format, &'static ContainerReader)> {
+    let format = kind.format()?;
+    match &format.row().particles.as_ref()?.read {
+        ReadParticles::Whole(_) => None,
+        ReadParticles::Sample(reader) => Some((format, reader)),
+    }
+}
+
+fn required_reader_of(kind: ProbedKind) -> Result<(Format, &'static ContainerReader)> {
+    let not_one = || Error::unsupported(kind.name(), "not a file with frames of its own");
+    reader_of(kind).ok_or_else(not_one)
+}
