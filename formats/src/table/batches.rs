@@ -1,4 +1,4 @@
-//! Opens files that are read in batches: see [`crate::core::batches`].
+//! Opens files that are read in batches, whose types are in `core/batches.rs`.
 
 use crate::core::batches::{ParticleBatches, ReadAt, Records, read};
 use crate::core::error::{Error, Result};

@@ -1,4 +1,4 @@
-//! Opens containers of any format: see [`crate::core::container`].
+//! Opens containers of any format, whose types are in `core/container.rs`.
 //!
 //! [`packed`] turns a sample into bytes that depend on nothing but its particles, whatever else the file has,
 //! and that [`crate::read_particles`] reads.
