@@ -60,7 +60,7 @@ class OptionValues(TypedDict, total=False):
     temporal : int
         Average each surface with those of this many frames before and after it, along the motion of the particles, 0 to 3; particles are followed by their ids or, with `time_step`, by their velocities [default: 0]
     time_step : float
-        Seconds from one frame to the next (not the time step of the solver), 1e-9 to 1e9, for particles without ids or without velocities
+        Seconds from one frame to the next (not the time step of the solver), 1e-9 to 1e9, for particles without ids or without velocities With `temporal`, particles without ids are followed by their velocities. With `attributes` velocity, velocities that the particles lack are computed from the frames before and after: by ids, or by the order of the particles if none of them moves far.
     drop_islands : int
         Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]
     spray : int
