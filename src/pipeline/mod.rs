@@ -5,7 +5,7 @@
 //!   target       the outputs of a frame: formats, pictures, and their camera
 //!   input        the inputs of frames: files and their steps, particles, level sets, obstacles
 //!   records      the record of finished frames, provenance in outputs, the report of a run
-//!   output       encodes surfaces and particles
+//!   output       encodes surfaces and particles, and files that show all frames; reads pictures again
 //!   error        why a frame was not converted          warning    likely mistakes in a converted frame
 //!   diagnostics  detects voxel sizes and radii that do not fit the particles
 //!

@@ -9,6 +9,15 @@
 //!   FormatRow    name, extensions, signatures │ reads particles? │ reads a mesh?
 //!   OutputRow    the same, and: help │ content and its writer │ options │ provenance │ integrity
 //! ```
+//!
+//! Beside it is what needs several families of formats:
+//!
+//! ```text
+//!   probe, neighbor, integrity    what a file is, what lies beside frames, and whether a file is complete
+//!   batches, steps, container     reading in parts, in any format; paraview: files that list others
+//!   packed, point_formats, mesh   particles as bytes; formats of points beside surfaces; meshes of any format
+//!   abc_sequence, to_glb          sequences from `.glb` frames, and those frames from other formats
+//! ```
 
 pub(crate) mod abc_sequence;
 mod batches;
