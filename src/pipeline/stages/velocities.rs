@@ -47,6 +47,8 @@ impl StageContext<'_> {
             match add_velocities(cloud, [before.as_ref(), after.as_ref()], settings) {
                 Some(FoundBy::Ids) => None,
                 Some(FoundBy::Order) => Some(InputWarning::FollowedByOrder),
+                // Another warning says that.
+                None if frame.number.is_none() => None,
                 None if around.is_empty() => Some(InputWarning::NoFrameBeside),
                 None => Some(InputWarning::VelocitiesNotComputed),
             }
