@@ -19,9 +19,6 @@ use crate::pipeline::files::out_folder::is_disk_full;
 /// A longer line is not a record.
 const LINE_BYTES_MAX: u64 = 1 << 20;
 
-/// How often the files are listed, if some disappear meanwhile.
-const LISTINGS_MAX: usize = 3;
-
 /// Other records are read again after this many times as long as reading them took.
 const PAUSE_PER_READ: u32 = 10;
 
@@ -113,23 +110,17 @@ impl KnownRecords {
     pub(super) fn read_news(&mut self, folder: &Path) -> io::Result<bool> {
         let start = Instant::now();
         let mut has_news = false;
-        // If a file has disappeared, another process has moved its lines to a new one.
-        for _ in 0..LISTINGS_MAX {
-            let mut is_any_gone = false;
-            for path in record_files(folder)? {
-                let from = self.read_bytes.get(&path).copied().unwrap_or(0);
-                match self.read_lines(&path, from) {
-                    Ok(end) => {
-                        has_news |= end > from;
-                        self.unreadable.remove(&path);
-                        self.read_bytes.insert(path, end);
-                    }
-                    Err(error) if error.kind() == io::ErrorKind::NotFound => is_any_gone = true,
-                    Err(error) => drop(self.unreadable.insert(path, error.to_string())),
+        for path in record_files(folder)? {
+            let from = self.read_bytes.get(&path).copied().unwrap_or(0);
+            match self.read_lines(&path, from) {
+                Ok(end) => {
+                    has_news |= end > from;
+                    self.unreadable.remove(&path);
+                    self.read_bytes.insert(path, end);
                 }
-            }
-            if !is_any_gone {
-                break;
+                // Somebody has removed it.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                Err(error) => drop(self.unreadable.insert(path, error.to_string())),
             }
         }
         self.last_read = Some((Instant::now(), start.elapsed()));
@@ -165,14 +156,9 @@ impl KnownRecords {
         }
     }
 
-    /// Opens the file that this process appends to. If it is open, makes it shorter once most of its lines are
-    /// superseded.
+    /// Opens the file that this process appends to, if it is not open.
     pub(super) fn open_own_file(&mut self, folder: &Path) -> io::Result<()> {
-        if let Some(own) = self.own.take() {
-            let own = if own.is_superseded(self.line_count()) { own.reopened(folder)? } else { own };
-            // Its lines are known.
-            self.read_bytes.insert(own.path.clone(), own.size()?);
-            self.own = Some(own);
+        if self.own.is_some() {
             return Ok(());
         }
         self.own = Some(OwnFile::open(folder)?);
@@ -191,13 +177,6 @@ impl KnownRecords {
         let daemon = self.daemon.iter().cloned().map(RecordLine::Daemon);
         let all = done.chain(unfinished).chain(sequences).chain(daemon);
         self.unwritten.extend(all.map(|line| (line.key(), line)));
-    }
-
-    /// The number of lines that would say all that is known.
-    fn line_count(&self) -> usize {
-        let done: usize = self.done.values().map(Vec::len).sum();
-        let unfinished: usize = self.unfinished.values().map(Vec::len).sum();
-        done + unfinished + self.sequences.len() + self.settings.len() + 1
     }
 
     /// Writes the lines that were kept, and this one.

@@ -1,14 +1,13 @@
-//! One file of records, to which one process appends: locks, torn lines, compaction.
+//! One file of records, to which one process appends: locks and torn lines.
 
-use std::collections::{HashMap, HashSet, VecDeque};
+use std::collections::{HashMap, HashSet};
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufWriter, Read, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use super::frame_records::SettingValues;
-use super::known_records::DONE_PER_FRAME_MAX;
-use super::record_line::{RecordLine, unfinished_key};
-use crate::pipeline::files::checked_line::{push_line, record_of_line};
+use super::record_line::RecordLine;
+use crate::pipeline::files::checked_line::push_line;
 use crate::pipeline::files::host::host_name;
 use crate::pipeline::files::identity::is_still_at;
 use crate::pipeline::files::open::open_itself;
@@ -20,14 +19,8 @@ const FILE_PREFIX: &str = "frames-";
 /// The extension of the lock of a file of records.
 pub(super) const LOCK_EXTENSION: &str = "lock";
 
-/// The largest file that a new process continues. To continue a file, it reads all of it into memory.
-const CONTINUED_BYTES_MAX: u64 = 1 << 28;
-
 /// Ends a line of which only a part was written. So a reader can tell it from a damaged line.
 pub(super) const TORN_LINE_END: &[u8] = b" torn\n";
-
-/// A file is compacted only if it has at least this many lines.
-pub(super) const COMPACTED_LINES_MIN: usize = 1000;
 
 /// The file that this process appends to.
 #[derive(Debug)]
@@ -35,12 +28,9 @@ pub(super) struct OwnFile {
     pub(super) path: PathBuf,
     file: File,
     /// Locked until it is dropped. It is another file, because Windows lets no process read a locked one.
-    lock: File,
-    /// The settings in the file.
+    _lock: File,
+    /// The settings that this process has written to it.
     settings: HashSet<String>,
-    line_count: usize,
-    /// It is compacted only if it has at least this many lines.
-    compacted_from_lines: usize,
     /// Whether its last line is incomplete.
     is_torn: bool,
 }
@@ -78,15 +68,7 @@ impl OwnFile {
     }
 
     fn new(path: PathBuf, file: File, lock: File) -> OwnFile {
-        OwnFile {
-            path,
-            file,
-            lock,
-            settings: HashSet::new(),
-            line_count: 0,
-            compacted_from_lines: COMPACTED_LINES_MIN,
-            is_torn: false,
-        }
+        OwnFile { path, file, _lock: lock, settings: HashSet::new(), is_torn: false }
     }
 
     /// Whether the file has its name.
@@ -94,22 +76,9 @@ impl OwnFile {
         is_still_at(&self.path, &self.file)
     }
 
-    /// Whether it has many lines, and most of them are superseded; `needed_count` lines would do.
-    pub(super) fn is_superseded(&self, needed_count: usize) -> bool {
-        self.line_count >= self.compacted_from_lines && needed_count * 2 < self.line_count
-    }
-
     /// Its size in bytes.
     pub(super) fn size(&self) -> io::Result<u64> {
         Ok(self.file.metadata()?.len())
-    }
-
-    /// Reopens the file, which compacts it if most of its lines are superseded. The lock stays held. If the file
-    /// cannot be continued, it stays as it is, and this creates another.
-    pub(super) fn reopened(self, folder: &Path) -> io::Result<OwnFile> {
-        let OwnFile { path, lock, file, .. } = self;
-        drop(file);
-        OwnFile::adopt(path, lock).or_else(|_| OwnFile::create(folder))
     }
 
     /// Removes the file and its lock, as far as possible.
@@ -128,7 +97,6 @@ impl OwnFile {
         // Ends a torn line, which is then skipped.
         let mut bytes = if self.is_torn { TORN_LINE_END.to_vec() } else { Vec::new() };
         let mut new_settings = Vec::new();
-        let mut line_count = 0;
         for line in lines {
             if let RecordLine::Done(record) = line
                 && !self.settings.contains(&record.settings)
@@ -140,12 +108,10 @@ impl OwnFile {
                 new_settings.push(record.settings.clone());
             }
             push_line(&mut bytes, line)?;
-            line_count += 1;
         }
         self.is_torn = true;
         self.file.write_all(&bytes)?;
         self.is_torn = false;
-        self.line_count += line_count + new_settings.len();
         self.settings.extend(new_settings);
         self.size()
     }
@@ -155,73 +121,15 @@ impl OwnFile {
         self.file.sync_data()
     }
 
-    /// Continues a file of an earlier process. Compacts it if most of its lines are superseded.
+    /// Continues a file of an earlier process.
     fn adopt(path: PathBuf, lock: File) -> io::Result<OwnFile> {
         let mut file = open_itself(&path, OpenOptions::new().read(true).append(true))?;
-        if file.metadata()?.len() > CONTINUED_BYTES_MAX {
-            return Err(io::ErrorKind::Unsupported.into());
+        let mut last_byte = [b'\n'];
+        if file.seek(SeekFrom::End(0))? > 0 {
+            file.seek(SeekFrom::End(-1))?;
+            file.read_exact(&mut last_byte)?;
         }
-        let mut bytes = Vec::new();
-        file.read_to_end(&mut bytes)?;
-        let mut own = OwnFile::new(path, file, lock);
-        let mut last_lines: HashMap<String, &[u8]> = HashMap::new();
-        let mut done_keys: HashMap<PathBuf, VecDeque<String>> = HashMap::new();
-        for line in bytes.split_inclusive(|byte| *byte == b'\n') {
-            own.line_count += 1;
-            let json = line.strip_suffix(b"\n").and_then(record_of_line);
-            let record: Option<RecordLine> = json.and_then(|json| serde_json::from_slice(json).ok());
-            let Some(record) = record else { continue };
-            let key = record.key();
-            if let RecordLine::Done(done) = &record {
-                // A done frame is no longer unfinished.
-                last_lines.remove(&unfinished_key(&done.input));
-                // Of the lines of a frame that say how it was done, only the last few are needed.
-                let keys = done_keys.entry(done.name.clone()).or_default();
-                keys.retain(|earlier| *earlier != key);
-                keys.push_back(key.clone());
-                if keys.len() > DONE_PER_FRAME_MAX
-                    && let Some(oldest) = keys.pop_front()
-                {
-                    last_lines.remove(&oldest);
-                }
-            }
-            if let RecordLine::Settings { id, .. } = record {
-                own.settings.insert(id);
-            }
-            last_lines.insert(key, line);
-        }
-        if own.is_superseded(last_lines.len()) {
-            // If this fails, the old file is still complete.
-            if let Ok(new) = own.compacted(last_lines.into_values()) {
-                return Ok(new);
-            }
-        }
-        // Compacting it now would gain little, or has failed: not before it has twice as many lines.
-        own.compacted_from_lines = COMPACTED_LINES_MIN.max(own.line_count * 2);
-        own.is_torn = bytes.last().is_some_and(|byte| *byte != b'\n');
-        Ok(own)
-    }
-
-    /// Moves these lines to a new file, and removes the old one. Until then, both are read.
-    fn compacted<'a>(&self, lines: impl Iterator<Item = &'a [u8]>) -> io::Result<OwnFile> {
-        let mut lines: Vec<&[u8]> = lines.collect();
-        // Restores the order of the file, because of lines with the same time the last one counts: all lines are
-        // slices of one buffer, so their addresses have this order.
-        lines.sort_unstable_by_key(|line| line.as_ptr());
-        let mut new = OwnFile::create(self.path.parent().unwrap_or(Path::new("")))?;
-        new.settings.clone_from(&self.settings);
-        new.line_count = lines.len();
-        let mut out = BufWriter::new(&new.file);
-        let written = lines.iter().try_for_each(|line| out.write_all(line)).and_then(|()| out.flush());
-        drop(out);
-        let moved = written.and_then(|()| new.file.sync_data()).and_then(|()| remove_if_exists(&self.path));
-        if moved.is_ok() {
-            self.remove()
-        } else {
-            // Otherwise each start would leave another copy.
-            new.remove()
-        }
-        moved.map(|()| new)
+        Ok(OwnFile { is_torn: last_byte != [b'\n'], ..OwnFile::new(path, file, lock) })
     }
 }
 

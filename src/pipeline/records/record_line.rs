@@ -273,16 +273,11 @@ impl RecordLine {
                     "done {name:?} {input_hash:x} {settings} {obstacles} {around:?} {camera:?} {hashes:x?}"
                 )
             }
-            RecordLine::Unfinished(record) => unfinished_key(&record.input),
+            RecordLine::Unfinished(record) => format!("unfinished {:?}", record.input),
             RecordLine::Sequence { key, .. } => format!("sequence {key:?}"),
             RecordLine::Daemon(_) => "daemon".to_owned(),
         }
     }
-}
-
-/// The key of the line about an unfinished frame.
-pub(super) fn unfinished_key(input: &Path) -> String {
-    format!("unfinished {input:?}")
 }
 
 impl DoneRecord {

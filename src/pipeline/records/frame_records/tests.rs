@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 
 use super::super::known_records::DONE_PER_FRAME_MAX;
-use super::super::record_file::{COMPACTED_LINES_MIN, LOCK_EXTENSION, record_files};
+use super::super::record_file::{LOCK_EXTENSION, record_files};
 use super::super::record_line::{DaemonState, SequenceCamera};
 use super::*;
 use crate::pipeline::files::out_folder::is_disk_full;
@@ -216,35 +216,6 @@ fn torn_and_damaged_lines_are_skipped() {
             states.iter().all(|s| matches!(s, ResultState::Done | ResultState::Missing(_))),
             "{at}: {states:?}"
         );
-    }
-}
-
-/// At the start of a process, and while it runs.
-#[test]
-fn superseded_lines_are_removed() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let lines = || {
-        let files = record_files(&folder.path().join(STATE_FOLDER)).expect("read");
-        let [file] = &files[..] else { panic!("{files:?}") };
-        fs::read_to_string(file).expect("text").lines().count()
-    };
-    let records = FrameRecords::open(folder.path()).expect("opened");
-    convert(&records, "b", "mesh", "0.1");
-    for _ in 0..COMPACTED_LINES_MIN {
-        convert(&records, "a", "mesh", "0.1");
-        records.keep(unfinished("a", UnfinishedState::Queued, now_ms()));
-    }
-    records.write_kept().expect("written");
-    assert!(lines() < COMPACTED_LINES_MIN, "{} lines", lines());
-    for _ in lines()..COMPACTED_LINES_MIN {
-        convert(&records, "a", "mesh", "0.1");
-    }
-    drop(records);
-    let records = FrameRecords::open(folder.path()).expect("opened");
-    convert(&records, "c", "mesh", "0.1");
-    assert_eq!(lines(), 4, "the settings and three frames");
-    for name in ["a", "b", "c"] {
-        assert_eq!(state(&records, name, "0.1", 7), ResultState::Done, "{name}");
     }
 }
 
