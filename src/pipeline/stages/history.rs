@@ -7,9 +7,7 @@
 //! The origins of one frame serve the next one, which adds only the frame between them. Each is read for itself and for
 //! its successor, unless the successor comes right after it.
 
-use std::collections::VecDeque;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::around::{FoundFrame, not_averaged};
@@ -22,18 +20,16 @@ use crate::surface::particles::{
     Attribute, AttributeValues, OwnedPositions, ParticleCloud, Role, ids_of, unique_ids,
 };
 
-use super::StageContext;
 use super::compute::is_of_content;
+use super::frame_cache::FrameCache;
+use super::{StageContext, lock};
 
-/// The origins that were collected last.
-pub(super) struct KnownHistories {
-    /// The most memory for them, in bytes.
-    limit_bytes: u64,
-    histories: Mutex<VecDeque<KnownHistory>>,
-}
+/// The origins that were collected last, by the number from which they were and the first frame.
+pub(super) type KnownHistories = FrameCache<(i64, Option<PathBuf>), KnownHistory>;
 
-struct KnownHistory {
-    settings: Arc<Settings>,
+/// The frames whose particles were followed, and the origins of these.
+#[derive(Default)]
+pub(super) struct KnownHistory {
     /// The frames that were added, in order.
     frames: Vec<AddedFrame>,
     origins: Origins,
@@ -54,31 +50,16 @@ struct HistoryFrame {
     hash: Option<u128>,
 }
 
-/// The histories of one frame: of two sets of rest coordinates. These are kept in any case.
-const HISTORIES_MIN: usize = 2;
-
-impl KnownHistories {
-    /// Keeps histories within this memory, in bytes.
-    pub(super) fn new(limit_bytes: u64) -> KnownHistories {
-        KnownHistories { limit_bytes, histories: Mutex::default() }
-    }
-
-    /// Whatever a panic leaves here is compared with the files before it is used.
-    fn lock(&self) -> MutexGuard<'_, VecDeque<KnownHistory>> {
-        self.histories.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
 impl KnownHistory {
-    fn size_bytes(&self) -> u64 {
+    pub(super) fn size_bytes(&self) -> u64 {
         let frame = |frame: &AddedFrame| size_of_val(frame) + frame.of.path.as_os_str().len();
         self.origins.size_bytes() + self.frames.iter().map(frame).sum::<usize>() as u64
     }
 
     /// Whether it has only frames that are wanted, or all that are wanted and later ones.
-    fn suits(&self, settings: &Arc<Settings>, wanted: &[HistoryFrame]) -> bool {
+    fn suits(&self, wanted: &[HistoryFrame]) -> bool {
         let is_same = |(added, wanted): (&AddedFrame, &HistoryFrame)| added.of == *wanted;
-        Arc::ptr_eq(&self.settings, settings) && self.frames.iter().zip(wanted).all(is_same)
+        self.frames.iter().zip(wanted).all(is_same)
     }
 }
 
@@ -137,18 +118,13 @@ impl StageContext<'_> {
     fn positions_since(&self, first: i64, given: &mut FollowedFrame<'_>) -> Vec<f32> {
         let settings = &given.frame.settings;
         let wanted: Vec<HistoryFrame> = given.frames_since(first);
-        let mut histories = self.histories.lock();
-        let known = histories.iter().position(|known| !wanted.is_empty() && known.suits(settings, &wanted));
-        let known = known.and_then(|index| histories.remove(index));
-        let mut history = known.unwrap_or_else(|| KnownHistory {
-            settings: Arc::clone(settings),
-            frames: Vec::new(),
-            origins: Origins::default(),
-        });
+        let mut histories = lock(&self.histories);
+        let known = histories.take(settings, |known| !wanted.is_empty() && known.suits(&wanted));
+        let mut history = known.unwrap_or_default();
         let added = history.frames.len().min(wanted.len());
         for frame in &wanted[added..] {
             let (mut of, mut warning) = (frame.clone(), None);
-            if let Some(Err(error)) = frame.hash.map(|hash| self.add(&mut history, frame, hash)) {
+            if let Some(Err(error)) = frame.hash.map(|hash| self.add(&mut history, settings, frame, hash)) {
                 warning = Some(not_averaged(&error));
                 if !is_of_content(&error.cause, "") {
                     of.hash = None;
@@ -166,16 +142,19 @@ impl StageContext<'_> {
             let of = HistoryFrame { path: frame.input.clone(), number, hash: Some(hash) };
             history.frames.push(AddedFrame { of, warning: None });
         }
-        histories.push_back(history);
-        let mut bytes: u64 = histories.iter().map(KnownHistory::size_bytes).sum();
-        while histories.len() > HISTORIES_MIN && bytes > self.histories.limit_bytes {
-            bytes -= histories.pop_front().map_or(0, |history| history.size_bytes());
-        }
+        let key = (first, wanted.first().map(|frame| frame.path.clone()));
+        histories.keep(key, settings, history, usize::MAX);
         result
     }
 
-    fn add(&self, history: &mut KnownHistory, frame: &HistoryFrame, hash: u128) -> Result<(), FrameError> {
-        let wanted = AttributeRequest::to_follow(&history.settings.reading);
+    fn add(
+        &self,
+        history: &mut KnownHistory,
+        settings: &Settings,
+        frame: &HistoryFrame,
+        hash: u128,
+    ) -> Result<(), FrameError> {
+        let wanted = AttributeRequest::to_follow(&settings.reading);
         let cloud = self.particles_of(&frame.path, hash, &wanted)?;
         if cloud.positions.is_empty() {
             return Ok(());

@@ -29,6 +29,7 @@
 //! waits for room in a channel. `smoothed` keeps frames for those that are averaged with them.
 
 mod compute;
+mod frame_cache;
 mod history;
 mod read;
 mod smoothed;
@@ -39,6 +40,7 @@ mod write;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Instant;
 
@@ -66,7 +68,7 @@ use crate::surface::reconstruction::MemoryPlan;
 use crate::surface::spray::Spray;
 
 use compute::{contour_stage, rasterize_stage, smooth_stage};
-use history::KnownHistories;
+use history::{KnownHistories, KnownHistory};
 use smoothed::{Computing, Gate, SmoothedFrames, User};
 use spray::KnownSides;
 
@@ -245,8 +247,8 @@ struct StageContext<'env> {
     budget: Budget,
     smoothed: SmoothedFrames,
     hashes: KnownHashes,
-    sides: KnownSides,
-    histories: KnownHistories,
+    sides: Mutex<KnownSides>,
+    histories: Mutex<KnownHistories>,
     /// The place of the first frame that failed.
     first_failed: AtomicUsize,
 }
@@ -344,17 +346,27 @@ struct FinishedFrame<K> {
 /// their origins.
 const KEPT_SHARE: u64 = 4;
 
+/// Locks what stages share. Each change is complete before the lock is released, and what is kept is compared with the
+/// files before it is used, so a panic leaves nothing inconsistent.
+fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 impl<'env> StageContext<'env> {
     /// The state before the first frame.
     fn new(options: &'env PipelineOptions<'env>) -> StageContext<'env> {
         let budget = Budget::new(options.memory_bytes);
+        let limit_bytes = options.memory_bytes / KEPT_SHARE;
         StageContext {
             options,
             budget,
-            smoothed: SmoothedFrames::new(options.memory_bytes / KEPT_SHARE),
+            smoothed: SmoothedFrames::new(limit_bytes),
             hashes: KnownHashes::default(),
-            sides: KnownSides::new(options.memory_bytes / KEPT_SHARE),
-            histories: KnownHistories::new(options.memory_bytes / KEPT_SHARE),
+            sides: Mutex::new(KnownSides::new(limit_bytes, 1, |sides| {
+                sides.as_ref().map_or(0, |sides| sides.size_bytes() as u64)
+            })),
+            // A frame may have two sets of rest coordinates.
+            histories: Mutex::new(KnownHistories::new(limit_bytes, 2, KnownHistory::size_bytes)),
             first_failed: AtomicUsize::new(usize::MAX),
         }
     }

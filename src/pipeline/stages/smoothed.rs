@@ -12,7 +12,7 @@
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use crossbeam::channel::{Receiver, Sender, bounded, select};
 
@@ -20,25 +20,22 @@ use crate::pipeline::input::around::FrameContent;
 use crate::surface::options::Settings;
 use crate::surface::temporal::TimedFrame;
 
-use super::Inlet;
+use super::frame_cache::FrameCache;
+use super::{Inlet, lock};
 
 /// The smoothed frames that are kept, and the frames that will be.
 pub(super) struct SmoothedFrames {
-    /// The most memory for kept frames, in bytes.
-    limit_bytes: u64,
     state: Mutex<State>,
     /// A token after each change.
     changed: (Sender<()>, Receiver<()>),
 }
 
-#[derive(Default)]
 struct State {
     /// The number of frames in flight that are averaged with others.
     user_count: usize,
     /// The frames that have their memory and are not smoothed yet.
     computing: Vec<PathBuf>,
-    /// The latest last.
-    kept: VecDeque<Kept>,
+    kept: FrameCache<SmoothedKey, Arc<TimedFrame>>,
 }
 
 /// What a smoothed frame is made from, besides the settings.
@@ -48,12 +45,6 @@ pub(super) struct SmoothedKey {
     /// The frames around it that say which of its particles are spray: by how many frames each is later, and the hash of
     /// its bytes.
     pub(super) sides: Vec<(i32, u128)>,
-}
-
-struct Kept {
-    key: SmoothedKey,
-    settings: Arc<Settings>,
-    frame: Arc<TimedFrame>,
 }
 
 /// A frame in flight that is averaged with others: while there are any, frames are kept.
@@ -68,7 +59,9 @@ pub(super) struct Computing<'a> {
 impl SmoothedFrames {
     /// Keeps frames within this memory, in bytes.
     pub(super) fn new(limit_bytes: u64) -> SmoothedFrames {
-        SmoothedFrames { limit_bytes, state: Mutex::default(), changed: bounded(1) }
+        let kept = FrameCache::new(limit_bytes, 1, |frame: &Arc<TimedFrame>| frame.size_bytes());
+        let state = Mutex::new(State { user_count: 0, computing: Vec::new(), kept });
+        SmoothedFrames { state, changed: bounded(1) }
     }
 
     /// A frame that is averaged with others comes into flight.
@@ -91,27 +84,16 @@ impl SmoothedFrames {
         frame: Arc<TimedFrame>,
         count: usize,
     ) {
-        let mut state = self.state();
-        // A frame that was smoothed alone may come through the pipeline, too.
-        state.kept.retain(|kept| kept.key != key || !Arc::ptr_eq(&kept.settings, settings));
-        state.kept.push_back(Kept { key, settings: Arc::clone(settings), frame });
-        let mut bytes: u64 = state.kept.iter().map(|kept| kept.frame.size_bytes()).sum();
-        while state.kept.len() > count + 1 || state.kept.len() > 1 && bytes > self.limit_bytes {
-            bytes -= state.kept.pop_front().map_or(0, |kept| kept.frame.size_bytes());
-        }
+        self.state().kept.keep(key, settings, frame, count);
     }
 
     /// The frame that was made from this with these settings, if it is kept.
     pub(super) fn find(&self, key: &SmoothedKey, settings: &Arc<Settings>) -> Option<Arc<TimedFrame>> {
-        let state = self.state();
-        let is_same = |kept: &&Kept| kept.key == *key && Arc::ptr_eq(&kept.settings, settings);
-        state.kept.iter().find(is_same).map(|kept| Arc::clone(&kept.frame))
+        self.state().kept.find(key, settings).cloned()
     }
 
-    /// Each change is complete before the lock is released, so the state is consistent even if the lock is
-    /// poisoned.
     fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 }
 

@@ -1,9 +1,8 @@
 //! Takes the spray out of frames. With ids, it depends on the frames around, which are read for that: which of their
 //! particles are apart is kept for the next frames.
 
-use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use crate::pipeline::error::FrameError;
 use crate::pipeline::input::around::FoundFrame;
@@ -14,59 +13,11 @@ use crate::surface::particles::ParticleCloud;
 use crate::surface::reconstruction::ApartParticles;
 use crate::surface::spray::{FrameSides, Spray};
 
-use super::StageContext;
+use super::frame_cache::FrameCache;
+use super::{StageContext, lock};
 
-/// Which particles of the frames that were looked at last are apart.
-pub(super) struct KnownSides {
-    /// The most memory for them, in bytes.
-    limit_bytes: u64,
-    frames: Mutex<VecDeque<FrameWithSides>>,
-}
-
-struct FrameWithSides {
-    path: PathBuf,
-    hash: u128,
-    settings: Arc<Settings>,
-    /// `None` if its particles have no ids.
-    sides: Option<Arc<FrameSides>>,
-}
-
-impl FrameWithSides {
-    fn size_bytes(&self) -> u64 {
-        self.sides.as_ref().map_or(0, |sides| sides.size_bytes() as u64)
-    }
-}
-
-impl KnownSides {
-    /// Keeps frames within this memory, in bytes.
-    pub(super) fn new(limit_bytes: u64) -> KnownSides {
-        KnownSides { limit_bytes, frames: Mutex::default() }
-    }
-
-    /// What is known of a frame with these bytes and settings.
-    fn find(&self, path: &Path, hash: u128, settings: &Arc<Settings>) -> Option<Option<Arc<FrameSides>>> {
-        let is_same = |known: &&FrameWithSides| {
-            known.path == path && known.hash == hash && Arc::ptr_eq(&known.settings, settings)
-        };
-        self.frames().iter().find(is_same).map(|known| known.sides.clone())
-    }
-
-    /// Keeps a frame, with up to `count` others.
-    fn keep(&self, frame: FrameWithSides, count: usize) {
-        let mut frames = self.frames();
-        frames.retain(|known| known.path != frame.path || !Arc::ptr_eq(&known.settings, &frame.settings));
-        frames.push_back(frame);
-        let mut bytes: u64 = frames.iter().map(FrameWithSides::size_bytes).sum();
-        while frames.len() > count + 1 || frames.len() > 1 && bytes > self.limit_bytes {
-            bytes -= frames.pop_front().map_or(0, |frame| frame.size_bytes());
-        }
-    }
-
-    /// Each change is complete before the lock is released.
-    fn frames(&self) -> MutexGuard<'_, VecDeque<FrameWithSides>> {
-        self.frames.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
+/// Which particles of frames are apart, by the path of each and the hash of its bytes; `None` without ids.
+pub(super) type KnownSides = FrameCache<(PathBuf, u128), Option<Arc<FrameSides>>>;
 
 /// A frame of a sequence: by how many frames it is later than another one, its file, and the hash of its bytes.
 pub(super) type FrameInSequence<'a> = (i32, &'a Path, u128);
@@ -158,8 +109,8 @@ impl StageContext<'_> {
         hash: u128,
         settings: &Arc<Settings>,
     ) -> Result<Option<Arc<FrameSides>>, FrameError> {
-        if let Some(known) = self.sides.find(path, hash, settings) {
-            return Ok(known);
+        if let Some(known) = lock(&self.sides).find(&(path.to_owned(), hash), settings) {
+            return Ok(known.clone());
         }
         let cloud = self.particles_of(path, hash, &AttributeRequest::for_sides(settings))?;
         let apart = ApartParticles::find(&cloud.positions, &cloud.attributes, settings);
@@ -169,8 +120,8 @@ impl StageContext<'_> {
     }
 
     fn keep_sides(&self, path: &Path, hash: u128, settings: &Arc<Settings>, sides: Option<Arc<FrameSides>>) {
-        let frame = FrameWithSides { path: path.to_owned(), hash, settings: Arc::clone(settings), sides };
         // Frames in flight are looked at in any order.
-        self.sides.keep(frame, 2 * settings.frame_reach().beside as usize + 2 * self.options.in_flight);
+        let count = 2 * settings.frame_reach().beside as usize + 2 * self.options.in_flight;
+        lock(&self.sides).keep((path.to_owned(), hash), settings, sides, count);
     }
 }
