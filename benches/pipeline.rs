@@ -105,8 +105,8 @@ fn convert_with_pipeline(frames: &[Frame], pool: &ThreadPool) -> Result<f64, Box
 
 /// Converts one frame in the plain loop.
 fn convert_in_loop(frame: &Frame, pool: &ThreadPool) -> Result<(), Box<dyn Error>> {
-    let bytes = read_file(&frame.input)?;
-    let read = parse_particles(&frame.input, &bytes, &AttributeRequest::default())?;
+    let content = read_file(&frame.input)?;
+    let read = parse_particles(&frame.input, content, &AttributeRequest::default())?;
     let surface = pool.install(|| reconstruct_frame(&read.cloud.positions, &frame.settings));
     let path =
         |extension: &str| -> PathBuf { frame.outputs.folder.join(format!("{}.{extension}", frame.stem)) };

@@ -134,10 +134,10 @@ fn plain_loop(folder: &Path) {
         .collect();
     inputs.sort();
     for input in inputs {
-        let bytes = read_file(&input).expect("readable");
+        let content = read_file(&input).expect("readable");
         let stem = input.file_stem().expect("a name").to_string_lossy().into_owned();
         pool.install(|| {
-            let read = parse_particles(&input, &bytes, &AttributeRequest::default()).expect("particles");
+            let read = parse_particles(&input, content, &AttributeRequest::default()).expect("particles");
             let surface = reconstruct_frame(&read.cloud.positions, &settings);
             write_surface(&surface, &settings, &folder.join("out"), &stem);
         });

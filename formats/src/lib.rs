@@ -52,9 +52,9 @@ pub use core::row::{
 pub use core::sequence_points::{PointsSummary, ReadPoints, SequencePoints};
 pub use core::text::{Escaped, escaped, is_unsafe, listed};
 pub use table::integrity::{completeness, is_complete};
+pub use table::loaded::Loaded;
 pub use table::mesh::{ObstacleData, check_obstacle, looks_like_mesh, read_mesh, read_obstacle};
 pub use table::neighbor::{Neighbor, neighbor};
-pub use table::packed::format_of_packed;
 pub use table::point_formats::PointFormat;
 pub use table::probe::{Probe, ProbedKind, looks_like_particles, probe};
 pub use table::{Format, OutputFormat, read_provenance};
@@ -68,8 +68,7 @@ use table::probe::HEAD_BYTES;
 ///
 /// The content decides the format; [`probe()`] documents when `file_name` matters. A mesh in a PLY file is
 /// read as particles at its vertices, with a note. A file in a multi-frame format, such as a LAMMPS dump,
-/// must contain exactly one frame; for files with several frames, see [`steps`] and [`container`]. The bytes
-/// may also be those of [`container::packed`].
+/// must contain exactly one frame; for files with several frames, see [`steps`] and [`container`].
 ///
 /// # Errors
 /// The errors of the format's reader, with offsets into the decompressed bytes; `Unsupported`, with what to
@@ -90,23 +89,8 @@ pub fn read_particles_named(
     columns: &[(String, String)],
     limits: &Limits,
 ) -> Result<ParticleFrame> {
-    let with_note = |mut frame: ParticleFrame| {
-        if !columns.is_empty() {
-            frame.notes.push("--columns is ignored: this is not a table of text".to_owned());
-        }
-        frame
-    };
-    let packed = format_of_packed(bytes);
     let Probe { kind, codec } = probe(bytes, file_name);
-    if let Some(format @ (Format::Npy | Format::Npz | Format::Hdf5 | Format::Json)) = packed.or(kind.format())
-        && !columns.is_empty()
-    {
-        let what = "--columns renames columns of tables of text, not arrays: rename the arrays in the file";
-        return Err(Error::unsupported(format.name(), what));
-    }
-    if let Some(frame) = table::packed::unpack(bytes, limits) {
-        return with_finite(packed.map_or("", Format::name), with_note(frame?));
-    }
+    refuse_columns_of_arrays(kind.format(), columns)?;
     let is_vague = matches!(kind, ProbedKind::Empty | ProbedKind::Unknown | ProbedKind::UnknownText);
     if let Some(codec) = codec.filter(|_| is_vague) {
         codec.check_start(bytes)?;
@@ -135,7 +119,45 @@ pub fn read_particles_named(
         ReadParticles::Sample(container) => container.read_alone(kind.name(), &bytes, limits)?,
     };
     frame.notes.extend(note);
-    with_finite(kind.name(), with_note(frame))
+    with_finite(kind.name(), without_columns(frame, columns))
+}
+
+/// Like [`read_particles_named`], of a frame that was read.
+///
+/// # Errors
+/// Those of [`read_particles_named`].
+pub fn particles_of(
+    loaded: Loaded,
+    file_name: &str,
+    columns: &[(String, String)],
+    limits: &Limits,
+) -> Result<ParticleFrame> {
+    match loaded {
+        Loaded::Bytes(bytes) => read_particles_named(&bytes, file_name, columns, limits),
+        Loaded::Particles(format, frame) => {
+            refuse_columns_of_arrays(Some(format), columns)?;
+            with_finite(format.name(), without_columns(*frame, columns))
+        }
+    }
+}
+
+/// The particles of a frame that has no columns of text, with a note if some should have new names.
+fn without_columns(mut frame: ParticleFrame, columns: &[(String, String)]) -> ParticleFrame {
+    if !columns.is_empty() {
+        frame.notes.push("--columns is ignored: this is not a table of text".to_owned());
+    }
+    frame
+}
+
+fn refuse_columns_of_arrays(format: Option<Format>, columns: &[(String, String)]) -> Result<()> {
+    match format {
+        Some(format @ (Format::Npy | Format::Npz | Format::Hdf5 | Format::Json)) if !columns.is_empty() => {
+            let what =
+                "--columns renames columns of tables of text, not arrays: rename the arrays in the file";
+            Err(Error::unsupported(format.name(), what))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Whether a file starts like a table that has all these columns, by its first bytes. See [`csv::read_named`].

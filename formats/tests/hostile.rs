@@ -16,8 +16,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use meniscus_formats::{
     AttributeRole, BandGrid, ContainerFile, FileAttribute, Format, LeafValues, LevelSetView, Limits,
     MeshOptions, MeshView, OutputFormat, ParticleBatch, ParticleBatches, ProbedKind, ReadAt, Result, Values,
-    abc, bgeo, container, csv, hdf5, lammps, ply, read_mesh, read_obstacle, read_particles, to_glb, vdb,
-    xdmf,
+    abc, bgeo, container, csv, hdf5, lammps, particles_of, ply, read_mesh, read_obstacle, read_particles,
+    to_glb, vdb, xdmf,
 };
 use peak_alloc::PeakAlloc;
 
@@ -124,8 +124,8 @@ fn damaged_lists_of_files_do_not_panic() {
         let container = ContainerFile { file: &list, name: "list", open: &open };
         let found = container::frames(kind, &container, &limits)?;
         (0..found.samples.len().min(3)).try_for_each(|index| {
-            let bytes = container::packed(kind, &container, &found, index, &limits)?;
-            read_particles(&bytes, "list", &limits).map(drop)
+            let loaded = container::read_sample(kind, &container, &found, index, &limits)?;
+            particles_of(loaded, "list", &[], &limits).map(drop)
         })
     };
     for (name, bytes) in &lists {

@@ -66,7 +66,7 @@ fn steps_of_a_stopped_writer_are_frames() {
     let steps = find_steps(kind, &*content, &limits).expect("five steps");
     let has_note = steps.iter().map(|step| {
         let step = step_of_compressed(kind, &bytes, step, &limits).expect("a step").expect("in the file");
-        let frame = read_particles(&step, "no_end.dump.gz", &limits).expect("a frame");
+        let frame = meniscus_formats::particles_of(step, "no_end.dump.gz", &[], &limits).expect("a frame");
         assert_eq!(frame.positions.len(), 960);
         frame.notes.iter().any(|note| note.contains("later steps are missing"))
     });

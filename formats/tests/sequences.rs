@@ -8,7 +8,7 @@ use meniscus_formats::gltf::{self, GlbFrame, SequenceFrame, UpAxis};
 use meniscus_formats::{
     AttributeRole, ContainerFile, Error, FileAttribute, FilePositions, Format, Limits, MeshData, MeshOptions,
     MeshView, OpenFurther, OutputFormat, ParticleFrame, PointFormat, PointsSummary, ProbedKind,
-    SequencePoints, Values, VertexAttribute, VertexValues, abc, container, read_particles, to_glb, usdc,
+    SequencePoints, Values, VertexAttribute, VertexValues, abc, container, particles_of, to_glb, usdc,
     write_abc_sequence,
 };
 
@@ -303,8 +303,8 @@ fn particles_in(bytes: &[u8]) -> Result<Vec<(f64, ParticleFrame)>, Error> {
         (ProbedKind::Format(Format::Abc), ContainerFile { file: &bytes, name: "", open }, Limits::default());
     let frames = container::frames(kind, &file, &limits)?;
     let frame = |(index, sample): (usize, &meniscus_formats::Sample)| {
-        let packed = container::packed(kind, &file, &frames, index, &limits)?;
-        Ok((25.0 * sample.time.expect("a time"), read_particles(&packed, "", &limits)?))
+        let loaded = container::read_sample(kind, &file, &frames, index, &limits)?;
+        Ok((25.0 * sample.time.expect("a time"), particles_of(loaded, "", &[], &limits)?))
     };
     frames.samples.iter().enumerate().map(frame).collect()
 }

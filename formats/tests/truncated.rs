@@ -192,7 +192,7 @@ fn compressed_steps_without_an_end_are_read_with_a_note() {
         let steps = find_steps(kind, &*content, &limits).unwrap();
         for (step, is_last) in steps.iter().zip([false, true]) {
             let bytes = step_of_compressed(kind, bytes, step, &limits).unwrap().unwrap();
-            let frame = read_particles(&bytes, "a.dump.gz", &limits).unwrap();
+            let frame = meniscus_formats::particles_of(bytes, "a.dump.gz", &[], &limits).unwrap();
             let has_note = frame.notes.iter().any(|note| note.contains("compressed data ends too early"));
             assert_eq!((frame.positions.len(), has_note), (2, is_open && is_last));
         }
@@ -207,7 +207,7 @@ fn compressed_steps_without_an_end_are_read_with_a_note() {
     let steps = find_steps(kind, &*content, &limits).unwrap();
     let mut outcomes = steps.iter().map(|step| {
         let bytes = step_of_compressed(kind, torn, step, &limits).unwrap().unwrap();
-        read_particles(&bytes, "a", &limits).map(|frame| frame.notes.len())
+        meniscus_formats::particles_of(bytes, "a", &[], &limits).map(|frame| frame.notes.len())
     });
     assert_eq!(outcomes.next().unwrap().unwrap(), 0);
     assert!(outcomes.next().unwrap().is_err_and(|error| error.is_truncated()));

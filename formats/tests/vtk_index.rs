@@ -5,8 +5,8 @@ use std::io;
 
 use meniscus_formats::container::{self, frames};
 use meniscus_formats::{
-    AttributeRole, ContainerFile, Error, FilePositions, Format, Limits, ParticleFrame, ProbedKind, ReadAt,
-    Result, Sample, Values, neighbor, probe, read_particles,
+    AttributeRole, ContainerFile, Error, FilePositions, Format, Limits, Loaded, ParticleFrame, ProbedKind,
+    ReadAt, Result, Sample, Values, neighbor, particles_of, probe, read_particles,
 };
 
 const KIND: ProbedKind = ProbedKind::Format(Format::VtkIndex);
@@ -64,8 +64,8 @@ fn opened<T>(bytes: &[u8], folder: &Folder, work: impl FnOnce(&ContainerFile) ->
     work(&ContainerFile { file: &bytes, name: "list", open: &open })
 }
 
-fn packed(file: &ContainerFile, number: usize, limits: &Limits) -> Result<Vec<u8>> {
-    container::packed(KIND, file, &frames(KIND, file, limits)?, number, limits)
+fn sample(file: &ContainerFile, number: usize, limits: &Limits) -> Result<Loaded> {
+    container::read_sample(KIND, file, &frames(KIND, file, limits)?, number, limits)
 }
 
 fn samples_of(index: &str) -> Result<Vec<Sample>> {
@@ -74,8 +74,8 @@ fn samples_of(index: &str) -> Result<Vec<Sample>> {
 
 fn frame(index: &str, folder: &Folder, number: usize) -> Result<ParticleFrame> {
     let limits = Limits::default();
-    let bytes = opened(index.as_bytes(), folder, |file| packed(file, number, &limits))?;
-    read_particles(&bytes, "list", &limits)
+    let loaded = opened(index.as_bytes(), folder, |file| sample(file, number, &limits))?;
+    particles_of(loaded, "list", &[], &limits)
 }
 
 fn xs(frame: &ParticleFrame) -> Vec<f32> {
@@ -123,13 +123,13 @@ fn files_of_a_time_become_a_frame() {
         (second.attributes[1].role, &second.attributes[1].values),
         (Some(AttributeRole::Radius), &Values::F32(vec![15.0]))
     );
-    // The bytes of a frame do not depend on the other frames, nor on the order of the files of others.
+    // A frame does not depend on the other frames, nor on the order of the files of others.
     let longer =
         collection(&[("0.25", "a_0.vtp"), ("0.25", "sub/a_1.vtp"), ("0.5", "b.vtp"), ("0.75", "c.vtp")]);
-    let bytes = |index: &str| {
-        opened(index.as_bytes(), &files, |file| packed(file, 0, &Limits::default()).expect("two pieces"))
+    let first = |index: &str| {
+        opened(index.as_bytes(), &files, |file| sample(file, 0, &Limits::default()).expect("two pieces"))
     };
-    assert_eq!(bytes(&pvd), bytes(&longer));
+    assert_eq!(first(&pvd), first(&longer));
 }
 
 #[test]
@@ -289,7 +289,7 @@ fn what_is_wrong_with_a_list_is_named() {
     assert!(matches!(error, Error::TooLarge { .. }), "{error}");
     let two = folder(&[("a.vtp", piece(&[1.0], &[])), ("b.vtp", piece(&[1.0], &[]))]);
     let pvd = collection(&[("0", "a.vtp"), ("0", "b.vtp")]);
-    let error = opened(pvd.as_bytes(), &two, |file| packed(file, 0, &few)).expect_err("two");
+    let error = opened(pvd.as_bytes(), &two, |file| sample(file, 0, &few)).expect_err("two");
     assert!(matches!(error, Error::TooLarge { .. }), "{error}");
     // Alone, without access to other files.
     let error = read_particles(whole.as_bytes(), "a.pvd", &Limits::default()).expect_err("no access");

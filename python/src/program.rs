@@ -316,9 +316,9 @@ pub(crate) fn read<'py>(py: Python<'py>, path: PathBuf, columns: Option<&str>) -
         .map_err(|why: String| PyValueError::new_err(format!("columns: {why}")))?;
     let of_file = path.clone();
     let read = run_or_abandon(py, move || {
-        let bytes = pipeline::read_file(&of_file)?;
-        let frame = pipeline::read_particles_of(&of_file, &bytes, columns.as_ref())?;
-        Ok((XxHash3_128::oneshot(&bytes), frame))
+        let content = pipeline::read_file(&of_file)?;
+        let hash = pipeline::hash_of(&content);
+        Ok((hash, pipeline::read_particles_of(&of_file, content, columns.as_ref())?))
     })?;
     let (hash, frame) = read.map_err(|failure: FrameError| of_frame(&path, failure))?;
     let notes = frame.notes.clone();
@@ -359,6 +359,6 @@ fn of_frame(path: &Path, failure: FrameError) -> PyErr {
 #[pyfunction]
 pub(crate) fn file_hash(py: Python<'_>, path: PathBuf) -> PyResult<String> {
     let of_file = path.clone();
-    let hash = run_or_abandon(py, move || Ok(XxHash3_128::oneshot(&pipeline::read_file(&of_file)?)))?;
+    let hash = run_or_abandon(py, move || Ok(pipeline::hash_of(&pipeline::read_file(&of_file)?)))?;
     Ok(format!("{:032x}", hash.map_err(|failure: FrameError| of_frame(&path, failure))?))
 }

@@ -102,7 +102,8 @@ pub use input::mesh_file::{MeshFile, is_mesh, read_scene_mesh};
 pub use input::obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub(crate) use input::position_doubts::shared_position;
 pub use input::reading::{
-    ParsedParticles, hash_of_input, parse_particles, particles, read_file, read_particles_of, refuse_foreign,
+    ParsedParticles, hash_of, hash_of_input, parse_particles, particles, read_file, read_particles_of,
+    refuse_foreign,
 };
 pub(crate) use input::source::output_stem;
 pub use input::source::{

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use twox_hash::XxHash3_128;
+use meniscus_formats::Loaded;
 
 use crate::surface::attributes::add_computed;
 use crate::surface::flicker::MovingParticles;
@@ -15,7 +15,7 @@ use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame_input::FrameInput;
 use crate::pipeline::input::obstacles::ObstacleFiles;
-use crate::pipeline::input::reading::{ParsedParticles, parse_particles, read_file};
+use crate::pipeline::input::reading::{ParsedParticles, hash_of, parse_particles, read_file};
 use crate::pipeline::method::{self, FrameInStages};
 use crate::pipeline::output::writing::surface_warnings;
 use crate::pipeline::records::frame_warnings::left_out;
@@ -64,24 +64,25 @@ impl LoadedFrame {
     pub fn read(path: &Path, number: Option<i64>, settings: &Settings) -> Result<LoadedFrame, FrameError> {
         stage(path, Stage::Read, || {
             settings.require_single_frame().map_err(Cause::Settings)?;
-            let bytes = read_file(path).map_err(|error| error.cause)?;
-            LoadedFrame::of_bytes(path, number, &bytes, settings).map_err(|error| error.cause)
+            let content = read_file(path).map_err(|error| error.cause)?;
+            LoadedFrame::of_content(path, number, content, settings).map_err(|error| error.cause)
         })
     }
 
-    /// Parses the frame at `path` from its bytes.
+    /// Parses the content of the frame at `path`.
     ///
     /// # Errors
-    /// When they have no readable particles.
-    pub(crate) fn of_bytes(
+    /// When it has no readable particles.
+    pub(crate) fn of_content(
         path: &Path,
         number: Option<i64>,
-        bytes: &[u8],
+        content: Loaded,
         settings: &Settings,
     ) -> Result<LoadedFrame, FrameError> {
-        let read = parse_particles(path, bytes, &AttributeRequest::for_settings(settings))?;
+        let hash = hash_of(&content);
+        let read = parse_particles(path, content, &AttributeRequest::for_settings(settings))?;
         let ParsedParticles { cloud, warnings, .. } = read;
-        Ok(LoadedFrame { path: path.to_owned(), number, cloud, hash: XxHash3_128::oneshot(bytes), warnings })
+        Ok(LoadedFrame { path: path.to_owned(), number, cloud, hash, warnings })
     }
 
     /// The path of its file.

@@ -1,7 +1,6 @@
 //! Opens containers of any format, whose types are in `core/container.rs`.
 //!
-//! [`packed`] turns a sample into bytes that depend on nothing but its particles, whatever else the file has,
-//! and that [`crate::read_particles`] reads.
+//! The particles of a sample depend on nothing else in its file.
 
 use crate::core::container::ContainerReader;
 pub use crate::core::container::{ContainerFile, ContainerFrames, OpenFurther, Sample};
@@ -10,7 +9,7 @@ use crate::core::error::{Error, Result};
 use crate::core::limits::Limits;
 use crate::core::row::ReadParticles;
 use crate::table::Format;
-use crate::table::packed::pack;
+use crate::table::loaded::Loaded;
 use crate::table::probe::ProbedKind;
 
 /// Whether files of this kind are containers.
@@ -27,20 +26,19 @@ pub fn frames(kind: ProbedKind, container: &ContainerFile, limits: &Limits) -> R
     (required_reader_of(kind)?.1.open)(container, limits)
 }
 
-/// The particles of one of the frames, by its index, as bytes that [`crate::read_particles`] reads. Equal particles give
-/// equal bytes.
+/// The particles of one of the frames, by its index.
 ///
 /// # Errors
 /// Those of [`frames`].
-pub fn packed(
+pub fn read_sample(
     kind: ProbedKind,
     container: &ContainerFile,
     frames: &ContainerFrames,
     index: usize,
     limits: &Limits,
-) -> Result<Vec<u8>> {
+) -> Result<Loaded> {
     let (format, _) = required_reader_of(kind)?;
-    Ok(pack(format, &frames.read(container, index, limits)?))
+    Ok(Loaded::Particles(format, Box::new(frames.read(container, index, limits)?)))
 }
 
 /// Whether the meshes in a file of this kind change with the time; `None` for kinds without scenes.

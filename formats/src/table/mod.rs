@@ -15,7 +15,7 @@
 //! ```text
 //!   probe, neighbor, integrity    what a file is, what lies beside frames, and whether a file is complete
 //!   batches, steps, container     reading in parts, in any format; paraview: files that list others
-//!   packed, point_formats, mesh   particles as bytes; formats of points beside surfaces; meshes of any format
+//!   loaded, point_formats, mesh   frames that were read; formats of points beside surfaces; meshes of any format
 //!   abc_sequence, to_glb          sequences from `.glb` frames, and those frames from other formats
 //! ```
 
@@ -23,9 +23,9 @@ pub(crate) mod abc_sequence;
 mod batches;
 pub mod container;
 pub mod integrity;
+pub(crate) mod loaded;
 pub mod mesh;
 pub(crate) mod neighbor;
-pub(crate) mod packed;
 pub(crate) mod paraview;
 pub(crate) mod point_formats;
 pub mod probe;

@@ -24,7 +24,7 @@ use crate::core::error::Result;
 use crate::core::limits::Limits;
 pub use crate::core::steps::FoundStep;
 use crate::core::steps::{FindSteps, StepSource};
-use crate::table::packed::pack;
+use crate::table::loaded::Loaded;
 use crate::table::probe::ProbedKind;
 
 /// Whether files of this kind can contain several frames.
@@ -60,7 +60,7 @@ pub fn find_more_steps(
     finder_of(kind).map_or(Ok(()), |find| find(source, steps, limits))
 }
 
-/// The bytes of a step of a compressed file, as [`crate::read_particles`] reads them; `None` if the file has none at
+/// A step of a compressed file; `None` if the file has none at
 /// this place. If the compressed data ends too early, the particles of the last step have a note that says so.
 ///
 /// # Errors
@@ -71,7 +71,7 @@ pub fn step_of_compressed(
     bytes: &[u8],
     step: &FoundStep,
     limits: &Limits,
-) -> Result<Option<Vec<u8>>> {
+) -> Result<Option<Loaded>> {
     let (content, note) = decompressed_so_far(bytes, limits)?;
     let [start, end] = [step.range.start, step.range.end].map(|at| usize::try_from(at).unwrap_or(usize::MAX));
     let Some(rows) = content.get(start..end) else { return Ok(None) };
@@ -82,9 +82,9 @@ pub fn step_of_compressed(
         && let Ok(mut frame) = crate::read_particles(&step, kind.name(), limits)
     {
         frame.notes.push(note);
-        return Ok(Some(pack(format, &frame)));
+        return Ok(Some(Loaded::Particles(format, Box::new(frame))));
     }
-    Ok(Some(step))
+    Ok(Some(Loaded::Bytes(step)))
 }
 
 fn finder_of(kind: ProbedKind) -> Option<FindSteps> {

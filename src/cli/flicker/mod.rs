@@ -633,8 +633,8 @@ fn estimated_spacing(frames: &FlickerFrames, reading: &ReadOptions) -> Result<(f
 }
 
 fn read_moving(path: &Path, reading: &ReadOptions) -> Result<MovingParticles> {
-    let bytes = read_file(path)?;
-    let read = parse_particles(path, &bytes, &AttributeRequest::to_follow(reading))?;
+    let content = read_file(path)?;
+    let read = parse_particles(path, content, &AttributeRequest::to_follow(reading))?;
     Ok(MovingParticles::of(read.cloud.positions, &read.cloud.attributes))
 }
 

@@ -15,9 +15,8 @@ use std::{io, iter};
 
 use anyhow::{Result, anyhow, bail};
 use meniscus_formats::{
-    Codec, Format, Limits, MeshData, Neighbor, OutputFormat, Probe, ProbedKind, abc, escaped,
-    format_of_packed, gltf, neighbor, ply, probe, read_mesh, read_particles, read_provenance, usda, usdc,
-    vdb, vtk,
+    Codec, Format, Limits, Loaded, MeshData, Neighbor, OutputFormat, Probe, ProbedKind, abc, escaped, gltf,
+    neighbor, ply, probe, read_mesh, read_particles, read_provenance, usda, usdc, vdb, vtk,
 };
 use serde::Serialize;
 
@@ -165,7 +164,7 @@ fn file_info(path: &Path, columns: Option<&ColumnNames>) -> FileInfo {
 impl FileInfo {
     fn fill(&mut self, path: &Path, columns: Option<&ColumnNames>) -> Result<()> {
         check_file(path)?;
-        let bytes = if step_of(path).is_some() {
+        let content = if step_of(path).is_some() {
             read_file(path).map_err(|error| reason(&error))?
         } else {
             // A file with too many frames is refused before it is read as a whole. It may also be a mesh.
@@ -179,51 +178,47 @@ impl FileInfo {
             if has_container_frames(path) {
                 read_file(path).map_err(|error| reason(&error))?
             } else {
-                read_regular(path)?
+                Loaded::Bytes(read_regular(path)?)
             }
         };
         self.time = time_of_frame(path);
-        self.fill_content(path, &bytes, columns)?;
-        if step_of(path).is_none() {
-            // The frame of a container is packed anew, and has another size.
-            self.bytes = usize::try_from(path.metadata()?.len())?;
+        match content {
+            Loaded::Bytes(bytes) => self.fill_content(path, bytes, columns),
+            Loaded::Particles(format, _) => {
+                self.kind = format.name().to_owned();
+                self.bytes = usize::try_from(file_of(path).metadata()?.len())?;
+                self.fill_particles(path, content, columns)
+            }
         }
-        Ok(())
     }
 
-    /// Describes the content of a file.
-    fn fill_content(&mut self, path: &Path, bytes: &[u8], columns: Option<&ColumnNames>) -> Result<()> {
+    /// Describes the bytes of a file.
+    fn fill_content(&mut self, path: &Path, bytes: Vec<u8>, columns: Option<&ColumnNames>) -> Result<()> {
         let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
-        // The particles of a frame of a container.
-        let packed = format_of_packed(bytes);
-        let Probe { kind, codec } = match packed {
-            Some(format) => Probe { kind: ProbedKind::Format(format), codec: None },
-            None => probe(bytes, &name),
-        };
+        let Probe { kind, codec } = probe(&bytes, &name);
         self.kind = kind.name().to_owned();
         self.gzipped = codec == Some(Codec::Gzip);
         self.packed = codec.map(Codec::adjective);
         self.bytes = bytes.len();
-        self.made_by = if codec.is_none() { made_by(kind, bytes) } else { None };
+        self.made_by = if codec.is_none() { made_by(kind, &bytes) } else { None };
         let limits = reading_limits();
         let is_surface = match kind.format() {
-            _ if packed.is_some() => false,
-            Some(format) if codec.is_none() => self.fill_surface(path, format, bytes, &limits)?,
-            Some(format) if is_only_mesh(format, bytes, &name) => {
-                self.mesh = Some(MeshInfo::of(&read_mesh_alone(bytes, &name, &limits)?));
+            Some(format) if codec.is_none() => self.fill_surface(path, format, &bytes, &limits)?,
+            Some(format) if is_only_mesh(format, &bytes, &name) => {
+                self.mesh = Some(MeshInfo::of(&read_mesh_alone(&bytes, &name, &limits)?));
                 true
             }
             _ => false,
         };
         if !is_surface {
             // This includes other compressed files. Compressed level sets are refused here.
-            self.fill_particles(path, bytes, columns)?;
+            self.fill_particles(path, Loaded::Bytes(bytes), columns)?;
         }
         Ok(())
     }
 
-    fn fill_particles(&mut self, path: &Path, bytes: &[u8], columns: Option<&ColumnNames>) -> Result<()> {
-        let frame = read_particles_of(path, bytes, columns).map_err(|error| reason(&error))?;
+    fn fill_particles(&mut self, path: &Path, content: Loaded, columns: Option<&ColumnNames>) -> Result<()> {
+        let frame = read_particles_of(path, content, columns).map_err(|error| reason(&error))?;
         self.notes.clone_from(&frame.notes);
         let reading = ReadOptions { columns: columns.cloned(), filter: None };
         let measured = measure_spacing([path], &SpacingOptions { reading, ..SpacingOptions::default() }).ok();

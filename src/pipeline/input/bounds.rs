@@ -71,8 +71,8 @@ fn file_bounds(path: &Path, radius: f64, reading: &ReadOptions) -> Result<Option
         let bounds = MeshFile::read(path)?.bounds();
         return Ok(bounds.map(|[least, greatest]| [least - radius, greatest + radius]));
     }
-    let bytes = read_file(path)?;
-    let read = parse_particles(path, &bytes, &AttributeRequest::positions_of(reading))?;
+    let content = read_file(path)?;
+    let read = parse_particles(path, content, &AttributeRequest::positions_of(reading))?;
     Ok(bounds_of_particles(&read.cloud.positions, radius))
 }
 

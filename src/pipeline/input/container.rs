@@ -5,7 +5,7 @@
 //!   run/water_0.vtu    named by it: opened when a frame is read, and compared in the same way
 //! ```
 //!
-//! A frame becomes bytes that depend on its particles only, so appended frames change no other. Compressed files are
+//! A frame depends on its particles only, so appended frames change no other. Compressed files are
 //! decompressed into memory; others may be larger than memory.
 
 use std::io;
@@ -19,7 +19,9 @@ use crate::pipeline::files::stamp::FileStamp;
 use crate::pipeline::memory::reading_limits;
 use meniscus_formats::compression::{decompressed, read_head};
 use meniscus_formats::container::{self, ContainerFrames, is_container};
-use meniscus_formats::{Codec, ContainerFile, MeshData, Probe, ProbedKind, ReadAt, Result, Sample, probe};
+use meniscus_formats::{
+    Codec, ContainerFile, Loaded, MeshData, Probe, ProbedKind, ReadAt, Result, Sample, probe,
+};
 
 /// Enough bytes to recognize the format.
 const HEAD_BYTES: u64 = 8 << 10;
@@ -44,7 +46,7 @@ pub(super) struct ContainerFrame {
     pub(super) files: Option<u128>,
     /// Whether it is read from a single file beside the container, which could be given in its place.
     pub(super) is_file_beside: bool,
-    /// An estimate of the size of its packed bytes, rather too large.
+    /// An estimate of the size of its particles in bytes, rather too large.
     pub(super) size_bytes: u64,
 }
 
@@ -93,7 +95,7 @@ impl OpenContainer {
     pub(super) fn frames(&self) -> Result<(Vec<ContainerFrame>, ContainerFrames)> {
         let mut found = self.with(|file| container::frames(self.kind, file, &reading_limits()))?;
         let (samples, files) = (std::mem::take(&mut found.samples), found.files.take());
-        let own_bytes = self.own_bytes().saturating_mul(PACKED_FACTOR) / samples.len().max(1) as u64;
+        let own_bytes = self.own_bytes().saturating_mul(SIZE_FACTOR) / samples.len().max(1) as u64;
         let frame = |(index, sample): (usize, Sample)| {
             let paths = files.as_ref().and_then(|files| files.get(index));
             let is_file_beside =
@@ -121,19 +123,20 @@ impl OpenContainer {
         // A hard link, such as that of a backup, changes no frame.
         let lasting =
             files.into_iter().map(|(path, stamp)| (path, stamp.map(|stamp| stamp.without_status_change())));
-        (state_of_files(lasting), bytes.saturating_mul(PACKED_FACTOR))
+        (state_of_files(lasting), bytes.saturating_mul(SIZE_FACTOR))
     }
 
-    /// The packed bytes of a frame; `None` if one of the files was written, replaced or removed meanwhile.
+    /// The particles of a frame; `None` if one of the files was written, replaced or removed meanwhile.
     ///
     /// # Errors
     /// When the frame cannot be read.
-    pub(super) fn packed(&self, frames: &ContainerFrames, index: usize) -> Result<Option<Vec<u8>>> {
-        let packed = self.with(|file| container::packed(self.kind, file, frames, index, &reading_limits()));
+    pub(super) fn read(&self, frames: &ContainerFrames, index: usize) -> Result<Option<Loaded>> {
+        let read =
+            self.with(|file| container::read_sample(self.kind, file, frames, index, &reading_limits()));
         if !self.is_unchanged()? {
             return Ok(None);
         }
-        packed.map(Some)
+        read.map(Some)
     }
 
     /// The files beside it that its readers wanted so far; `None` if there are none.
@@ -219,8 +222,8 @@ pub fn files_joined_by(path: &Path) -> Vec<PathBuf> {
     beside.map(|name| path.with_file_name(name)).collect()
 }
 
-/// Packed bytes as a multiple of the bytes of files: compressed arrays are rarely smaller than a third.
-const PACKED_FACTOR: u64 = 3;
+/// Bytes of particles as a multiple of the bytes of files: compressed arrays are rarely smaller than a third.
+const SIZE_FACTOR: u64 = 3;
 
 fn head_of(file: &InputFile) -> io::Result<Vec<u8>> {
     let head = |bytes: u64| bytes_of(file, file.stamp().size.min(bytes));

@@ -42,7 +42,7 @@ fn rate_of(times: &[(i64, f64)]) -> Option<f64> {
 /// When a frame cannot be read.
 pub fn seconds_by_motion(frames: [&Path; 3], settings: &Settings) -> Result<Option<f64>, FrameError> {
     let particles = |path: &Path| -> Result<ParticleCloud, FrameError> {
-        Ok(parse_particles(path, &read_file(path)?, &AttributeRequest::to_follow(&settings.reading))?.cloud)
+        Ok(parse_particles(path, read_file(path)?, &AttributeRequest::to_follow(&settings.reading))?.cloud)
     };
     let [before, own, after] = frames;
     let time = time_between(&particles(before)?, &particles(own)?, &particles(after)?);

@@ -16,9 +16,8 @@ use crate::surface::level_set::{
 };
 use crate::surface::space::{INDEX_LIMIT, Lattice};
 
-use super::reading::read_file;
 use crate::pipeline::error::{FrameError, Stage};
-use crate::pipeline::files::open::open_regular;
+use crate::pipeline::files::open::{open_regular, read_regular};
 use crate::pipeline::memory::reading_limits;
 use crate::pipeline::target::outputs::OutputOptions;
 use crate::pipeline::target::picture::PictureScene;
@@ -47,7 +46,8 @@ impl LevelSetFile {
     /// # Errors
     /// When the system reports an error, or the file has no readable level set, or it needs more memory.
     pub fn read(path: &Path, wants_velocity: bool, memory_bytes: u64) -> Result<LevelSetFile, FrameError> {
-        LevelSetFile::of_bytes(path, &read_file(path)?, wants_velocity, memory_bytes)
+        let bytes = read_regular(path).map_err(|error| FrameError::file(path, Stage::Read, error))?;
+        LevelSetFile::of_bytes(path, &bytes, wants_velocity, memory_bytes)
     }
 
     /// Parses the bytes of a .vdb as [`read`](LevelSetFile::read) does, with a memory limit.

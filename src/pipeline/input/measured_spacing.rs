@@ -270,8 +270,8 @@ fn measured(path: &Path, options: &SpacingOptions) -> Result<(usize, Option<Fram
                 cause,
             });
         }
-        let bytes = read_file(path)?;
-        let read = parse_particles(path, &bytes, &AttributeRequest::for_spacing(options).and_radius())?;
+        let content = read_file(path)?;
+        let read = parse_particles(path, content, &AttributeRequest::for_spacing(options).and_radius())?;
         Ok((read.cloud.positions.len(), measured_of(path, &read, options)))
     });
     measured.flatten()

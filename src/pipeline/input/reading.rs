@@ -6,7 +6,8 @@ use std::path::Path;
 
 use meniscus_formats::compression::read_head;
 use meniscus_formats::{
-    AttributeRole, Error, FilePositions, ParticleFrame, check_supported, read_particles_named,
+    AttributeRole, Error, FileAttribute, FilePositions, Loaded, ParticleFrame, Values, check_supported,
+    particles_of,
 };
 
 use twox_hash::XxHash3_128;
@@ -16,7 +17,7 @@ use crate::surface::particles::{OwnedPositions, ParticleCloud, Shapes};
 
 use super::attributes::AttributeRequest;
 use super::filter::{keep_chosen, several_kinds, various_sizes};
-use super::steps::{IndexPolicy, StampedBytes, by_lines_of_file, file_of, read_part};
+use super::steps::{IndexPolicy, StampedContent, by_lines_of_file, file_of, read_part};
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::{InputFile, read_unchanged};
 use crate::pipeline::files::open::{open_regular, read_regular};
@@ -35,23 +36,23 @@ pub struct ParsedParticles {
     pub unused_velocity: Option<String>,
 }
 
-/// The bytes of a file, or of a step of a file: those of a container are packed.
+/// The content of a file, or of a step of a file.
 ///
 /// # Errors
 /// When the system reports an error.
-pub fn read_file(path: &Path) -> Result<Vec<u8>, FrameError> {
+pub fn read_file(path: &Path) -> Result<Loaded, FrameError> {
     let fail = |error: meniscus_formats::Error| FrameError::file(path, Stage::Read, error);
     let Some(read) = read_part(path, IndexPolicy::OnRead) else {
         refuse_large_foreign(path).map_err(fail)?;
-        return read_regular(path).map_err(|error| fail(error.into()));
+        return read_regular(path).map(Loaded::Bytes).map_err(|error| fail(error.into()));
     };
     match read.map_err(fail)? {
-        Some(read) => Ok(read.bytes),
+        Some(read) => Ok(read.content),
         None => Err(FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Changed }),
     }
 }
 
-/// The bytes of a frame; `None` if the file was written, replaced or removed
+/// The content of a frame; `None` if the file was written, replaced or removed
 /// meanwhile.
 ///
 /// # Errors
@@ -59,10 +60,11 @@ pub fn read_file(path: &Path) -> Result<Vec<u8>, FrameError> {
 pub(crate) fn read_frame_unchanged(
     path: &Path,
     index_policy: IndexPolicy,
-) -> meniscus_formats::Result<Option<StampedBytes>> {
+) -> meniscus_formats::Result<Option<StampedContent>> {
     read_part(path, index_policy).unwrap_or_else(|| {
         refuse_large_foreign(path)?;
-        Ok(read_unchanged(path)?.map(|(bytes, stamp)| StampedBytes { bytes, stamp, named: None }))
+        let whole = |(bytes, stamp)| StampedContent { content: Loaded::Bytes(bytes), stamp, named: None };
+        Ok(read_unchanged(path)?.map(whole))
     })
 }
 
@@ -90,32 +92,32 @@ const LARGE_BYTES: u64 = 1 << 20;
 /// More bytes than any format needs to be recognized.
 const HEAD_BYTES: u64 = 1 << 16;
 
-/// Parses particles from the bytes of the frame at `path`, with all attributes, and with new names for columns.
+/// Parses particles from the content of the frame at `path`, with all attributes, and with new names for columns.
 ///
 /// # Errors
-/// When the bytes are not valid particles.
+/// When it has no valid particles.
 pub fn read_particles_of(
     path: &Path,
-    bytes: &[u8],
+    content: Loaded,
     columns: Option<&ColumnNames>,
 ) -> Result<ParticleFrame, FrameError> {
     let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
-    read_particles_named(bytes, &name, columns.map_or(&[], ColumnNames::pairs), &reading_limits())
+    particles_of(content, &name, columns.map_or(&[], ColumnNames::pairs), &reading_limits())
         .map_err(|error| FrameError::file(path, Stage::Read, by_lines_of_file(path, error)))
 }
 
-/// Parses particles from the bytes of the file at `path`: those that meet the condition of the request, with
+/// Parses particles from the content of the frame at `path`: those that meet the condition of the request, with
 /// the requested attributes.
 ///
 /// # Errors
-/// When the bytes are not valid particles, or lack an attribute that is required or in the condition.
+/// When it has no valid particles, or lacks an attribute that is required or in the condition.
 pub fn parse_particles(
     path: &Path,
-    bytes: &[u8],
+    content: Loaded,
     wanted: &AttributeRequest,
 ) -> Result<ParsedParticles, FrameError> {
     let ReadOptions { columns, filter } = &wanted.reading;
-    let mut frame = read_particles_of(path, bytes, columns.as_ref())?;
+    let mut frame = read_particles_of(path, content, columns.as_ref())?;
     let missing_error =
         |what| FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Missing(what) };
     let about_kinds = match filter {
@@ -144,7 +146,7 @@ pub fn particles(positions: FilePositions) -> OwnedPositions {
     }
 }
 
-/// The hash of the bytes of an input.
+/// The hash of an input.
 ///
 /// # Errors
 /// When it cannot be read, is not a regular file, has no such step, or changes during the read.
@@ -163,6 +165,37 @@ pub(crate) fn hash_and_stamp(path: &Path, index_policy: IndexPolicy) -> Result<(
         let hash = file.hash()?;
         return if file.is_unchanged()? { Ok((hash, file.stamp())) } else { Err(changed().into()) };
     };
-    let StampedBytes { bytes, stamp, .. } = read?.ok_or_else(changed)?;
-    Ok((XxHash3_128::oneshot(&bytes), stamp))
+    let StampedContent { content, stamp, .. } = read?.ok_or_else(changed)?;
+    Ok((hash_of(&content), stamp))
+}
+
+/// The XXH3 hash, of 128 bits, of the bytes of a frame, or of all that is known of its particles.
+pub fn hash_of(content: &Loaded) -> u128 {
+    let (format, frame) = match content {
+        Loaded::Bytes(bytes) => return XxHash3_128::oneshot(bytes),
+        Loaded::Particles(format, frame) => (format, frame),
+    };
+    let ParticleFrame { positions, attributes, notes } = &**frame;
+    let mut hasher = XxHash3_128::new();
+    hasher.write(format!("{format:?} {} {notes:?}", positions.len()).as_bytes());
+    hasher.write(match positions {
+        FilePositions::F32(positions) => bytemuck::cast_slice(positions),
+        FilePositions::F64(positions) => bytemuck::cast_slice(positions),
+    });
+    for FileAttribute { name, arity, role, values } in attributes {
+        let (number, bytes): (_, &[u8]) = match values {
+            Values::F32(values) => ("f32", bytemuck::cast_slice(values)),
+            Values::F64(values) => ("f64", bytemuck::cast_slice(values)),
+            Values::U8(values) => ("u8", values),
+            Values::I32(values) => ("i32", bytemuck::cast_slice(values)),
+            Values::I64(values) => ("i64", bytemuck::cast_slice(values)),
+            Values::Strings { table, indices } => {
+                hasher.write(format!("{table:?}").as_bytes());
+                ("string", bytemuck::cast_slice(indices))
+            }
+        };
+        hasher.write(format!("{name:?} {arity} {role:?} {number}").as_bytes());
+        hasher.write(bytes);
+    }
+    hasher.finish_128()
 }

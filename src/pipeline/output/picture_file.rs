@@ -9,8 +9,7 @@ use meniscus_formats::{OutputFormat, read_provenance};
 use crate::render::Picture;
 
 use crate::pipeline::error::{FrameError, Stage};
-use crate::pipeline::files::open::open_regular;
-use crate::pipeline::input::reading::read_file;
+use crate::pipeline::files::open::{open_regular, read_regular};
 use crate::pipeline::records::provenance::{CAMERA, HEAD_BYTES, SHEET};
 
 /// Reads the colours of a picture, without transparency.
@@ -18,8 +17,8 @@ use crate::pipeline::records::provenance::{CAMERA, HEAD_BYTES, SHEET};
 /// # Errors
 /// When the system reports an error, the file is not such a picture, or the picture is too large.
 pub fn read_picture(path: &Path) -> Result<Picture, FrameError> {
-    let bytes = read_file(path)?;
-    let ColorPicture { size, color } = FrameError::catch(path, Stage::Read, || png::read(&bytes))?
+    let read = || png::read(&read_regular(path)?);
+    let ColorPicture { size, color } = FrameError::catch(path, Stage::Read, read)?
         .map_err(|error| FrameError::file(path, Stage::Read, error))?;
     Ok(Picture { size, coverage: vec![1.0; color.len()], color, data: None })
 }

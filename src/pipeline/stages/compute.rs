@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use crossbeam::channel::Sender;
-use meniscus_formats::Error;
+use meniscus_formats::{Error, Loaded};
 
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::around::{
@@ -86,7 +86,7 @@ pub(super) fn rasterize_stage(
     info: &mut InputInfo<'_>,
 ) -> Result<Passed<Rasterized>, FrameError> {
     let (input, obstacles, plan) = match content {
-        ReadContent::Particles(bytes) => return parsed(&bytes, frame),
+        ReadContent::Particles(content) => return parsed(content, frame),
         ReadContent::Surface { input, obstacles, plan } => (*input, obstacles, plan),
     };
     // A frame in tiles creates this folder and writes scratch files into it.
@@ -233,9 +233,8 @@ fn smoothed_alone(
     let (content, settings) = (&key.content, &frame.settings);
     let path = &content.path;
     let failed = |cause| FrameError { path: path.clone(), during: Stage::Read, cause };
-    let bytes = shared.bytes_of(path, content.hash)?;
-    let loaded = LoadedFrame::of_bytes(path, Some(around.number), &bytes, settings)?;
-    drop(bytes);
+    let loaded = shared.content_of(path, content.hash)?;
+    let loaded = LoadedFrame::of_content(path, Some(around.number), loaded, settings)?;
     // Its own conversion warns of what is wrong with its surroundings.
     let loaded = loaded.try_map_cloud(|cloud| {
         let SeparatedCloud { fluid, failures, .. } =
@@ -266,9 +265,9 @@ impl StageContext<'_> {
     }
 }
 
-fn parsed<T>(bytes: &[u8], frame: &Frame) -> Result<Passed<T>, FrameError> {
+fn parsed<T>(content: Loaded, frame: &Frame) -> Result<Passed<T>, FrameError> {
     let ReadOptions { columns, filter } = &frame.settings.reading;
-    let mut particles = read_particles_of(&frame.input, bytes, columns.as_ref())?;
+    let mut particles = read_particles_of(&frame.input, content, columns.as_ref())?;
     let about_choice = keep_chosen(&mut particles, filter.as_ref());
     let about_choice = about_choice.map_err(|why| frame.failed(Stage::Read, Cause::Missing(why)))?;
     particles.notes.extend(about_choice.map(|warning| warning.to_string()));

@@ -45,9 +45,8 @@ use std::thread;
 use std::time::Instant;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
-use meniscus_formats::ParticleFrame;
+use meniscus_formats::{Loaded, ParticleFrame};
 use rayon::ThreadPool;
-use twox_hash::XxHash3_128;
 
 use crate::pipeline::budget::{Budget, Reservation};
 use crate::pipeline::error::{Cause, FrameError, Stage};
@@ -56,7 +55,7 @@ use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame::{Frame, InputState, Outcome, Seconds};
 use crate::pipeline::input::frame_input::FrameInput;
 use crate::pipeline::input::obstacles::FrameObstacles;
-use crate::pipeline::input::reading::{parse_particles, read_frame_unchanged};
+use crate::pipeline::input::reading::{hash_of, parse_particles, read_frame_unchanged};
 use crate::pipeline::input::steps::IndexPolicy;
 use crate::pipeline::memory::default_memory_bytes;
 use crate::pipeline::observer::Observer;
@@ -313,8 +312,8 @@ struct InputNotes {
 enum ReadContent {
     /// For a surface, with the plan of its reconstruction.
     Surface { input: Box<FrameInput>, obstacles: FrameObstacles, plan: MemoryPlan },
-    /// The bytes of a particle file, for conversion to another format.
-    Particles(Vec<u8>),
+    /// Particles for conversion to another format.
+    Particles(Loaded),
 }
 
 /// What one compute stage passes to the next one.
@@ -371,23 +370,23 @@ impl<'env> StageContext<'env> {
         }
     }
 
-    /// The bytes of another frame, if their hash is this one.
-    fn bytes_of(&self, path: &Path, hash: u128) -> Result<Vec<u8>, FrameError> {
+    /// The content of another frame, if its hash is this one.
+    fn content_of(&self, path: &Path, hash: u128) -> Result<Loaded, FrameError> {
         let failed = |cause| FrameError { path: path.to_owned(), during: Stage::Read, cause };
         let read = read_frame_unchanged(path, self.options.index_policy);
         let read = read.map_err(|error| failed(Cause::File(error)))?;
-        let read = read.filter(|read| XxHash3_128::oneshot(&read.bytes) == hash);
-        read.map(|read| read.bytes).ok_or_else(|| failed(Cause::Changed))
+        let read = read.filter(|read| hash_of(&read.content) == hash);
+        read.map(|read| read.content).ok_or_else(|| failed(Cause::Changed))
     }
 
-    /// The particles of another frame, if the hash of its bytes is this one.
+    /// The particles of another frame, if its hash is this one.
     fn particles_of(
         &self,
         path: &Path,
         hash: u128,
         wanted: &AttributeRequest,
     ) -> Result<ParticleCloud, FrameError> {
-        Ok(parse_particles(path, &self.bytes_of(path, hash)?, wanted)?.cloud)
+        Ok(parse_particles(path, self.content_of(path, hash)?, wanted)?.cloud)
     }
 
     /// Reports that a frame begins a stage.

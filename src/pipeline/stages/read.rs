@@ -23,8 +23,8 @@ use crate::pipeline::input::level_set_file::other_grids;
 use crate::pipeline::input::obstacles::{FoundObstacles, FrameObstacles};
 use crate::pipeline::input::out_of_reach::out_of_reach;
 use crate::pipeline::input::position_doubts::position_doubts;
-use crate::pipeline::input::reading::{parse_particles, read_frame_unchanged};
-use crate::pipeline::input::steps::{StampedBytes, reading_bytes, step_of};
+use crate::pipeline::input::reading::{hash_of, parse_particles, read_frame_unchanged};
+use crate::pipeline::input::steps::{StampedContent, reading_bytes, step_of};
 use crate::pipeline::method;
 use crate::pipeline::records::content::irreplaceable_output;
 use crate::pipeline::records::provenance::MadeFrom;
@@ -33,7 +33,7 @@ use crate::surface::attributes::add_computed;
 use crate::surface::particles::ParticleCloud;
 use crate::surface::reconstruction::MemoryPlan;
 use crate::surface::spray::Spray;
-use meniscus_formats::Limits;
+use meniscus_formats::{Limits, Loaded};
 
 use super::compute::is_of_content;
 use super::history::HistoryNotes;
@@ -92,7 +92,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             match frame.job {
                 Job::Surface => self.read_particle_frame(order, frame),
                 Job::LevelSet { .. } => self.level_set_of(order, frame),
-                Job::Particles => self.bytes_of(frame),
+                Job::Particles => self.content_of(frame),
             }
         });
         let ReadResult { content, input, noted, around } = read.map_err(Outcome::Failed).flatten()?;
@@ -138,11 +138,11 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         plan.memory_bytes.saturating_add(given_bytes)
     }
 
-    /// The bytes of a frame that is converted to another particle format.
-    fn bytes_of(&self, frame: &Frame) -> Result<ReadResult, Outcome> {
-        let (bytes, input) = self.read_whole(frame)?;
+    /// The content of a frame that is converted to another particle format.
+    fn content_of(&self, frame: &Frame) -> Result<ReadResult, Outcome> {
+        let (content, input) = self.read_whole(frame)?;
         self.end_if_done(frame, &input, "", &[])?;
-        let content = ReadContent::Particles(bytes);
+        let content = ReadContent::Particles(content);
         Ok(ReadResult { content, input, noted: InputNotes::default(), around: Vec::new() })
     }
 
@@ -170,13 +170,13 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
         self.parse_and_plan(order, frame, move || Ok((given, noted)), (found, Vec::new()), input)
     }
 
-    /// The bytes of a frame's file, or of its step.
-    fn read_whole(&self, frame: &Frame) -> Result<(Vec<u8>, InputState), Outcome> {
+    /// The content of a frame's file, or of its step.
+    fn read_whole(&self, frame: &Frame) -> Result<(Loaded, InputState), Outcome> {
         let unchanged = read_frame_unchanged(&frame.input, self.shared.options.index_policy);
         let unchanged = unchanged.map_err(|error| unreadable(frame, error))?;
-        let StampedBytes { bytes, stamp, named } = unchanged.ok_or(Outcome::Changed)?;
-        let hash = XxHash3_128::oneshot(&bytes);
-        Ok((bytes, InputState { stamp, hash, named }))
+        let StampedContent { content, stamp, named } = unchanged.ok_or(Outcome::Changed)?;
+        let hash = hash_of(&content);
+        Ok((content, InputState { stamp, hash, named }))
     }
 
     /// Finds the obstacles of a frame of particles and the frames around it, ends it if it is done already, reads
@@ -210,12 +210,11 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
                 return self.parse_and_plan(order, frame, choose, (obstacles, around), input);
             }
         }
-        let (bytes, input) = self.read_whole(frame)?;
+        let (content, input) = self.read_whole(frame)?;
         self.end_if_done(frame, &input, &obstacles.recorded(), &around)?;
         let (given, hash, others) = (frame.clone(), input.hash, around.clone());
         let parse = move || {
-            let mut read = parse_particles(&given.input, &bytes, &wanted)?;
-            drop(bytes);
+            let mut read = parse_particles(&given.input, content, &wanted)?;
             let mut notes = shared.follow_back(&mut read.cloud, (&given, hash), &others);
             shared.complete_velocities(&mut read.cloud, &given, &others, &mut notes);
             let HistoryNotes { warnings: of_history, mut unread, has_computed_velocities } = notes;

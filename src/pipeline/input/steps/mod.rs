@@ -28,7 +28,7 @@ use std::sync::atomic::AtomicBool;
 
 use meniscus_formats::container::is_container;
 use meniscus_formats::steps::{FoundStep, may_have_steps, step_of_compressed};
-use meniscus_formats::{Error, ReadAt, Result};
+use meniscus_formats::{Error, Loaded, ReadAt, Result};
 use twox_hash::XxHash3_128;
 
 use crate::pipeline::files::input_file::InputFile;
@@ -256,12 +256,12 @@ pub fn has_container_frames(file: &Path) -> bool {
         && content_of_container(file).is_ok_and(|content| content != ContainerContent::NoParticles)
 }
 
-/// The packed bytes of the only frame of a container; `None` if the file, or one that
+/// The only frame of a container; `None` if the file, or one that
 /// it names, was written, replaced or removed meanwhile.
 ///
 /// # Errors
 /// Those of [`read_step`]; [`Error::Unsupported`] if there are several frames.
-pub(crate) fn read_only_frame(file: &Path, by: IndexPolicy) -> Result<Option<StampedBytes>> {
+pub(crate) fn read_only_frame(file: &Path, by: IndexPolicy) -> Result<Option<StampedContent>> {
     let Some(contents) = by.index(file)? else { return Ok(None) };
     if let [first, .., last] = &contents.steps[..] {
         let what = format!(
@@ -275,18 +275,18 @@ pub(crate) fn read_only_frame(file: &Path, by: IndexPolicy) -> Result<Option<Sta
     read_sample(file, 0, &contents)
 }
 
-/// The bytes of a frame.
+/// The content of a frame.
 #[derive(Debug, PartialEq)]
-pub(crate) struct StampedBytes {
-    pub(crate) bytes: Vec<u8>,
+pub(crate) struct StampedContent {
+    pub(crate) content: Loaded,
     /// The stamp of its file.
     pub(crate) stamp: FileStamp,
     /// The files that it was read from besides its own, if there are any.
     pub(crate) named: Option<Arc<NamedFiles>>,
 }
 
-/// The bytes of a frame that is not a whole file, as of [`read_step`] or [`read_only_frame`]; `None` for one that is.
-pub(crate) fn read_part(frame: &Path, by: IndexPolicy) -> Option<Result<Option<StampedBytes>>> {
+/// The content of a frame that is not a whole file, as of [`read_step`] or [`read_only_frame`]; `None` for one that is.
+pub(crate) fn read_part(frame: &Path, by: IndexPolicy) -> Option<Result<Option<StampedContent>>> {
     match step_of(frame) {
         Some((file, step)) => Some(read_step(file, step, by)),
         None => is_container_file(frame).then(|| read_only_frame(frame, by)),
@@ -294,11 +294,11 @@ pub(crate) fn read_part(frame: &Path, by: IndexPolicy) -> Option<Result<Option<S
 }
 
 /// Like [`read_step`], of a container.
-fn read_sample(file: &Path, index: usize, contents: &StepIndex) -> Result<Option<StampedBytes>> {
+fn read_sample(file: &Path, index: usize, contents: &StepIndex) -> Result<Option<StampedContent>> {
     let open = OpenContainer::open(file)?.filter(|open| open.stamp() == contents.stamp);
     let (Some(open), Some(frames)) = (open, contents.reader()) else { return Ok(None) };
-    let bytes = open.packed(frames, index)?;
-    Ok(bytes.map(|bytes| StampedBytes { bytes, stamp: contents.stamp, named: open.named_files() }))
+    let content = open.read(frames, index)?;
+    Ok(content.map(|content| StampedContent { content, stamp: contents.stamp, named: open.named_files() }))
 }
 
 /// The files besides its own from which a frame, which cannot be read, would be read.
@@ -309,19 +309,19 @@ pub(crate) fn named_by_unreadable(frame: &Path) -> Option<Arc<NamedFiles>> {
     match step_index(file) {
         Ok(contents) => {
             let index = step.and_then(|step| contents.index_of(step).ok()).unwrap_or(0);
-            let _ = contents.reader().map(|frames| open.packed(frames, index));
+            let _ = contents.reader().map(|frames| open.read(frames, index));
         }
         Err(_) => drop(open.frames()),
     }
     open.named_files()
 }
 
-/// The bytes of a step; `None` if the file was written, replaced or removed
+/// The content of a step; `None` if the file was written, replaced or removed
 /// meanwhile.
 ///
 /// # Errors
 /// When the system reports an error, the file has no such step, or the step cannot be decompressed.
-pub(crate) fn read_step(file: &Path, step: &str, by: IndexPolicy) -> Result<Option<StampedBytes>> {
+pub(crate) fn read_step(file: &Path, step: &str, by: IndexPolicy) -> Result<Option<StampedContent>> {
     let Some(contents) = by.index(file)? else { return Ok(None) };
     if contents.reader().is_some() {
         return read_sample(file, contents.index_of(step)?, &contents);
@@ -344,19 +344,19 @@ pub(crate) fn read_step(file: &Path, step: &str, by: IndexPolicy) -> Result<Opti
     let stored = if is_packed { 0..contents.stamp.size } else { found.range.clone() };
     let Some(bytes) = read(stored.clone())? else { return Ok(None) };
     let hash = XxHash3_128::oneshot(&bytes);
-    let bytes = if is_packed {
+    let content = if is_packed {
         // A step that has moved is absent, so the file has changed.
         let step = step_of_compressed(contents.kind, &bytes, found, &reading_limits())?;
         let Some(step) = step else { return Ok(None) };
         step
     } else if found.head.is_empty() {
-        bytes
+        Loaded::Bytes(bytes)
     } else {
-        [&*found.head, &*bytes].concat()
+        Loaded::Bytes([&*found.head, &*bytes].concat())
     };
     let has_same_bytes =
         || Ok(read(stored.clone())?.is_some_and(|again| XxHash3_128::oneshot(&again) == hash));
-    let read = StampedBytes { bytes, stamp: contents.stamp, named: None };
+    let read = StampedContent { content, stamp: contents.stamp, named: None };
     Ok(input.is_unchanged_or(has_same_bytes)?.then_some(read))
 }
 
@@ -436,7 +436,7 @@ mod tests {
             for (frame, text) in frames.iter().zip(&steps) {
                 let (path, name) = step_of(frame).expect("a step");
                 let read = read_step(path, name, BY).expect("read").expect("unchanged");
-                assert_eq!(read.bytes, text.as_bytes());
+                assert_eq!(read.content, Loaded::Bytes(text.clone().into_bytes()));
                 assert_eq!(read.stamp, FileStamp::of_path(&file).expect("there"));
                 assert_eq!(size_bytes(frame).expect("there"), text.len() as u64);
                 assert!(reading_bytes(frame, BY) >= text.len() as u64);
@@ -502,11 +502,11 @@ mod tests {
         assert_eq!(names, ["run.pvd/step=0", "run.pvd/step=1", "run.pvd/step=2"]);
         assert_eq!(time_of_frame(&list.join("step=2")), Some(1.0));
         assert_eq!(content_of_container(&list).expect("a list"), ContainerContent::Frames);
-        let read = |step: &str| read_step(&list, step, BY).expect("read").expect("unchanged").bytes;
-        let before: Vec<Vec<u8>> = ["0", "1", "2"].map(read).into();
+        let read = |step: &str| read_step(&list, step, BY).expect("read").expect("unchanged").content;
+        let before: Vec<Loaded> = ["0", "1", "2"].map(read).into();
         assert!(before[0] != before[1] && reading_bytes(&list.join("step=0"), BY) > 0);
-        let frame =
-            meniscus_formats::read_particles(&before[2], "run.pvd", &Limits::default()).expect("packed");
+        let frame = meniscus_formats::particles_of(before[2].clone(), "run.pvd", &[], &Limits::default());
+        let frame = frame.expect("particles");
         assert_eq!(frame.positions, meniscus_formats::FilePositions::F32(vec![[2.5, 0.0, 0.0]]));
         let error = read_only_frame(&list, BY).expect_err("three frames").to_string();
         assert!(
@@ -531,9 +531,9 @@ mod tests {
         // A single frame is the file itself.
         write_list(folder, &[0.5]);
         assert_eq!(frames_in(&list).expect("a frame"), [&*list]);
-        let StampedBytes { bytes, .. } = read_only_frame(&list, BY).expect("read").expect("unchanged");
-        assert_eq!(bytes, before[0]);
-        assert!(reading_bytes(&list, BY) > bytes.len() as u64 / 2);
+        let StampedContent { content, .. } = read_only_frame(&list, BY).expect("read").expect("unchanged");
+        assert_eq!(content, before[0]);
+        assert!(reading_bytes(&list, BY) > 12, "the position of a particle");
     }
 
     #[test]
