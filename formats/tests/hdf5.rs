@@ -138,6 +138,7 @@ fn steps_and_iterations_are_frames() {
             "",
         ),
         ("numbered.h5", vec![(0, None), (2, None), (10, None)], format!("v {VELOCITY}"), ""),
+        ("stacked_pair.h5", vec![(0, None), (1, None), (2, None)], format!("qd {VELOCITY}"), ""),
         (
             "stacked.h5",
             vec![(0, None), (1, None), (2, None)],
@@ -198,6 +199,8 @@ fn position_without_a_name_is_the_longest_vector() {
 
 #[test]
 fn files_without_particles_have_no_frames() {
+    let error = samples(&file("h5md.h5")).unwrap_err().to_string();
+    assert!(error.contains("H5MD is not read: save the positions"), "{error}");
     let bytes = file("none.h5");
     assert_eq!(samples(&bytes).unwrap(), []);
     let error = read(&bytes, 0).unwrap_err().to_string();

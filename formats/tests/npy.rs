@@ -63,6 +63,15 @@ fn first_column_of_different_integers_is_the_id() {
     assert_eq!(frame.notes.len(), 1, "{:?}", frame.notes);
 }
 
+#[test]
+fn bytes_after_the_array_are_noted() {
+    let bytes = array(1, "'<f4'", false, "(1, 3)", &f32s(&[0.5, 0.25, 0.125]));
+    let frame = read(&[&bytes[..], &bytes].concat());
+    assert_eq!(frame.positions.len(), 1);
+    assert_eq!(frame.notes.len(), 1);
+    assert!(frame.notes[0].contains(&format!("{} bytes more", bytes.len())), "{:?}", frame.notes);
+}
+
 /// Each frame, behind the head of its step, is the file of a single frame.
 #[test]
 fn frames_of_an_array_are_steps() {

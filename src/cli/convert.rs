@@ -21,7 +21,7 @@ use crate::pipeline::{
     is_same_time, output_sequence, seconds_by_motion, stage_frame_count, step_of,
 };
 use crate::surface::attributes::names_velocity;
-use crate::surface::options::{MethodOptions, Settings};
+use crate::surface::options::{AttributeSelection, MethodOptions, Settings};
 use crate::surface::simd::level_warning;
 use crate::surface::words::significant;
 
@@ -242,10 +242,9 @@ impl ConvertPlan {
         let middle = sequence.frames.len() / 2;
         let frames =
             sequence.frames.get(middle.saturating_sub(1)..).and_then(|frames| frames.first_chunk::<3>());
-        let Some(frames) = frames.filter(|_| is_played && names_velocity(settings.attributes.as_ref()))
-        else {
-            return;
-        };
+        let attributes = settings.attributes.as_ref();
+        let has_velocities = attributes == Some(&AttributeSelection::All) || names_velocity(attributes);
+        let Some(frames) = frames.filter(|_| is_played && has_velocities) else { return };
         let [Some(before), Some(own), Some(after)] = frames.each_ref().map(FrameFile::number) else { return };
         let Some(step) =
             own.checked_sub(before).filter(|step| *step > 0 && own.checked_add(*step) == Some(after))
@@ -262,11 +261,11 @@ impl ConvertPlan {
         let Some(seconds) = measured.filter(|seconds| !is_same_time(*seconds, step / fps)) else {
             return;
         };
+        let motion = significant(step / seconds);
         console.warning(format_args!(
-            "{}: by their velocities, or by --time-step, the particles move as at {} frames per second, and they are shown \
-             at {fps}: give --fps, or --velocity-scale {} if the velocities of the files have another unit of time",
+            "{}: the particles move as at {motion} frames per second, and they are shown at {fps}: give --fps {motion}, or \
+             --velocity-scale {} if the velocities of the files have another unit of time",
             sequence.name,
-            significant(step / seconds),
             significant(settings.velocity_scale * seconds * fps / step)
         ));
     }

@@ -75,6 +75,9 @@ impl Destination {
         } else if let Some(extension) = file_extension(&out) {
             let name = out.file_name().and_then(OsStr::to_str).unwrap_or_default();
             let of_name = match NumberPattern::find_in_new(name) {
+                Some(NumberPattern { before, .. }) if NumberPattern::find_in_new(before).is_some() => {
+                    bail!("--out {name}: expected one placeholder for the frame number, found several")
+                }
                 Some(_) => Destination::pattern,
                 None => Destination::file,
             };

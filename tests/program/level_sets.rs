@@ -177,6 +177,10 @@ fn options_that_need_particles_are_refused_by_name() {
             &["watch", "in", "--out=watched", "--once", "--pattern={*.vdb,*.obj}"],
             "matches {*.vdb,*.obj}; braces have no meaning in a pattern",
         ),
+        (
+            &["watch", "in", "--out=watched", "--once", "--pattern=block.####.ply"],
+            "matches block.####.ply; in a pattern, * stands for the number",
+        ),
     ] {
         let result = meniscus(folder, arguments);
         assert_eq!(result.status, 2, "{arguments:?}");

@@ -530,6 +530,7 @@ fn pattern_names_the_results_of_a_sequence() {
     for (inputs, out, words) in [
         (&["in"][..], "w.####.obj", "two frames have the number 7"),
         (&["still.ply"], "w.####.obj", "the frame has no number for w.####"),
+        (&["in"], "w_{}_{}.obj", "expected one placeholder for the frame number, found several"),
         (&["in/dam.7.ply"], "w.####.fbx", ".fbx is not an output format"),
         (&["in/dam.7.ply"], "w.####.png", "use `meniscus render`"),
     ] {

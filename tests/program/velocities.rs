@@ -117,7 +117,11 @@ fn times_that_contradict_the_motion_are_named() {
         meniscus(folder, &[&fixed[..], &stage, more].concat())
     };
     let result = staged(&[]);
-    assert!(result.err.contains("as at 1 frames per second, and they are shown at 24"), "{}", result.err);
+    assert!(
+        result.err.contains("as at 1 frames per second, and they are shown at 24: give --fps 1,"),
+        "{}",
+        result.err
+    );
     assert!(result.err.contains("--velocity-scale 24 "), "{}", result.err);
     for agreeing in [["--fps", "1"], ["--velocity-scale", "24"]] {
         let result = staged(&agreeing);

@@ -225,6 +225,12 @@ pub(crate) fn open_end_note(rows: &[u8]) -> Option<String> {
     })
 }
 
+/// A note if a file has more bytes than its header declares: another program may have appended particles.
+pub(crate) fn surplus_note(found_bytes: u64, declared_bytes: u64) -> Option<String> {
+    let surplus = found_bytes.checked_sub(declared_bytes).filter(|surplus| *surplus > 0)?;
+    Some(format!("the file has {surplus} bytes more than its header declares, and they are not read"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

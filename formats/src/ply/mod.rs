@@ -40,7 +40,7 @@ use crate::core::row::{
     Completeness, Content, FormatRow, HeadCheck, Integrity, MeshEncoder, MeshWriter, OutputRow,
     ParticleReader, ParticleWriter,
 };
-use crate::core::text::{excerpt, excerpts};
+use crate::core::text::{excerpt, excerpts, surplus_note};
 use rows::{RecordReader, checked_binary_count, checked_count, rows_of, scalar_offsets};
 
 /// The format's name in errors.
@@ -101,7 +101,7 @@ fn completeness(head: &[u8], file_bytes: u64) -> Result<HeadCheck> {
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = read_header(bytes, limits)?;
     let mut frame = read_vertices(bytes, &header, limits)?;
-    frame.notes.extend(note_on_faces(&header));
+    frame.notes.extend(notes_on_file(&header, bytes.len() as u64));
     Ok(frame)
 }
 
@@ -225,11 +225,16 @@ fn targets<'a>(
     targets
 }
 
-/// A note if the file is a mesh that is read as particles.
-fn note_on_faces(header: &PlyHeader) -> Option<String> {
+/// Notes on what else a file of this size has: faces of a mesh, and bytes that its header does not declare.
+fn notes_on_file(header: &PlyHeader, file_bytes: u64) -> impl Iterator<Item = String> {
     let mut faces = header.elements.iter().filter(|element| element.name.eq_ignore_ascii_case("face"));
-    let faces = faces.next().filter(|faces| faces.count > 0)?;
-    Some(format!("the file also has {} faces, which are ignored: only the vertices are read", faces.count))
+    let faces = faces.next().filter(|faces| faces.count > 0).map(|faces| {
+        format!("the file also has {} faces, which are ignored: only the vertices are read", faces.count)
+    });
+    // The size of text and of lists is not known from the header.
+    let is_exact = header.encoding != Encoding::Ascii && !header.elements.iter().any(Element::has_list);
+    let declared = header.file_size_min().filter(|_| is_exact);
+    faces.into_iter().chain(declared.and_then(|declared| surplus_note(file_bytes, declared)))
 }
 
 /// Notes on how the vertices are read.
@@ -410,7 +415,7 @@ fn records(header: &PlyHeader, file_bytes: u64, limits: &Limits) -> Result<Optio
     let (offsets, stride) = scalar_offsets(element);
     let scalars = position.map(|property| scalar_of(element, property));
     let mut notes = notes(element, &columns);
-    notes.extend(note_on_faces(header));
+    notes.extend(notes_on_file(header, file_bytes));
     let velocity = columns.groups.iter().find(|group| group.role == Some(AttributeRole::Velocity));
     let velocity = velocity.map(|group| group.name.clone());
     let offsets = position.map(|property| offsets[property]);

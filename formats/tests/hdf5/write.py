@@ -87,6 +87,16 @@ with new("stacked.h5") as file:
     file["id"] = IDS
     file["time"] = np.arange(3.0)
 
+# The same under names that mean positions and velocities only together.
+with new("stacked_pair.h5") as file:
+    file["q"], file["qd"] = stack, np.stack([VELOCITY] * 3)
+
+# A box at each step, and positions below a group.
+with new("h5md.h5") as file:
+    file.create_group("h5md").attrs["version"] = [1, 1]
+    file["particles/all/position/value"] = stack
+    file["particles/all/box/edges/value"] = np.ones((20, 3))
+
 # Without the name of a position: the only vector of real numbers, as long as all else.
 with new("unnamed.h5") as file:
     file["cell"] = np.eye(3)

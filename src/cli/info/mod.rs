@@ -22,8 +22,8 @@ use serde::Serialize;
 
 use crate::pipeline::{
     FrameError, USD_STAGE_FRAMES, file_of, frames_in, frames_in_unless, has_container_frames, is_absent,
-    measure_spacing, open_regular, read_file, read_particles_of, read_regular, read_scene_mesh,
-    reading_limits, step_of, time_of_frame,
+    measure_spacing, natural_order, open_regular, read_file, read_particles_of, read_regular,
+    read_scene_mesh, reading_limits, step_of, time_of_frame,
 };
 
 use crate::surface::options::{ColumnNames, ReadOptions, SpacingOptions};
@@ -123,7 +123,9 @@ fn files_of(path: &Path, console: &mut Console) -> Box<dyn Iterator<Item = PathB
     // A pattern without matches is reported like a missing file.
     let Ok(found) = find_inputs(&[path.to_owned()], None) else { return alone };
     found.report(console);
-    Box::new(found.files.into_iter().map(|file| file.path))
+    let mut paths: Vec<PathBuf> = found.files.into_iter().map(|file| file.path).collect();
+    paths.sort_by(|one, other| natural_order(&one.to_string_lossy(), &other.to_string_lossy()));
+    Box::new(paths.into_iter())
 }
 
 /// Prints a JSON array, each element as soon as the next one is known.

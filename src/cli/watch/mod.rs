@@ -178,6 +178,7 @@ fn reason(watch: &Watch) -> Option<String> {
         _ if pattern.contains(['{', '}']) => {
             "; braces have no meaning in a pattern: watch each pattern separately"
         }
+        _ if pattern.contains('#') => "; in a pattern, * stands for the number: dam.*.bgeo",
         Ok(lower) if files.iter().any(|path| lower.matches(&name_of(path).to_lowercase())) => {
             "; capital and small letters differ"
         }

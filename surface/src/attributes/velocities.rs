@@ -103,7 +103,9 @@ pub fn time_between(before: &ParticleCloud, own: &ParticleCloud, after: &Particl
     let (from, to) = from.zip(to)?;
     let mean_speed =
         velocities.iter().map(|velocity| velocity.length()).sum::<f64>() / velocities.len() as f64;
-    let fast = (0..own.positions.len()).filter(|&particle| velocities[particle].length() >= mean_speed);
+    // The mean of equal numbers may be rounded up.
+    let least = 0.999 * mean_speed;
+    let fast = (0..own.positions.len()).filter(|&particle| velocities[particle].length() >= least);
     let time = |particle: usize| {
         let [from, to] = [(before, from[particle]?), (after, to[particle]?)]
             .map(|(cloud, index)| cloud.positions.position(index as usize));
@@ -267,6 +269,12 @@ mod tests {
         let own = cloud(&[0.0, 10.0, 20.0], Some(&[1, 2, 3]), Some(5.0));
         let after = cloud(&[21.5, 11.5, 90.0], Some(&[3, 2, 1]), None);
         assert_eq!(time_between(&before, &own, &after), Some(0.2));
+        // The mean of equal speeds, which is rounded, may be above each of them.
+        let ids: Vec<i64> = (0..1000).collect();
+        let [before, mut own, after] = [-1.0, 0.0, 1.0].map(|x| cloud(&[x; 1000], Some(&ids), Some(1.0)));
+        own.attributes[1].values = AttributeValues::Numbers([1.0, 0.3, 0.2].repeat(1000));
+        let time = time_between(&before, &own, &after).expect("equal speeds");
+        assert!((time - 1.0 / 1.13).abs() < 1e-6, "{time}");
         let still = cloud(&[0.0], Some(&[1]), Some(0.0));
         assert_eq!(time_between(&before, &still, &after), None);
         assert_eq!(time_between(&before, &cloud(&[0.0], None, Some(5.0)), &after), None);

@@ -316,17 +316,6 @@ impl<'a> HdfFile<'a> {
         names.try_fold(group.clone(), |group, name| group.group(name).map_err(error_of))
     }
 
-    /// The number of steps that data sets of a group are stacks of: the first axis of a position of shape
-    /// (T, N, 3); `None` if there is none.
-    pub(super) fn stacked_steps(&self, group: &Group) -> Result<Option<u64>> {
-        for name in self.members(group)?.1.iter().filter(|name| position_rank(name).is_some()) {
-            if let [count, _, 3] = *group.dataset(name).map_err(error_of)?.shape() {
-                return Ok(Some(count));
-            }
-        }
-        Ok(None)
-    }
-
     /// The groups in a group.
     pub(super) fn groups(&self, group: &Group) -> Result<Vec<Group>> {
         let (names, _) = self.members(group)?;

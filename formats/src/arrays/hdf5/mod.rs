@@ -199,6 +199,10 @@ const STEP_PARENTS: &[&str] = &["data", "frames", "steps"];
 fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
     let root = file.root()?;
     let groups = file.groups(&root)?;
+    if groups.iter().any(|group| group.name() == "h5md") {
+        let what = "H5MD is not read: save the positions of each step as a data set pos of shape (N, 3)";
+        return Err(Error::unsupported(FORMAT, what));
+    }
     let parents = groups.iter().filter(|group| STEP_PARENTS.contains(&group.name()));
     let below: Vec<Vec<Group>> = parents.map(|parent| file.groups(parent)).collect::<Result<_>>()?;
     let mut steps = Vec::new();
@@ -210,7 +214,7 @@ fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
     if steps.is_empty() && has_particles(file, &root)? {
         steps.push(HdfStep { number: 0, group: root, stack: None });
     } else if steps.is_empty() {
-        let count = file.stacked_steps(&root)?.unwrap_or_default();
+        let count = stacked_steps(file, &root)?.unwrap_or_default();
         if let Some(last) = count.checked_sub(1) {
             file.limits.check_step(FORMAT, usize::try_from(last).unwrap_or(usize::MAX))?;
         }
@@ -225,6 +229,30 @@ fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
     }
     steps.sort_by_key(|step| step.number);
     Ok(steps)
+}
+
+/// The number of steps that data sets of a group are stacks of: the first axis of those of shape (T, N, 3), if their
+/// first step has particles; `None` if there are none.
+fn stacked_steps(file: &HdfFile, group: &Group) -> Result<Option<u64>> {
+    let mut counts: Vec<u64> = Vec::new();
+    for name in &file.members(group)?.1 {
+        if let Ok(data) = group.dataset(name)
+            && let [count, _, 3] = *data.shape()
+            && !counts.contains(&count)
+        {
+            counts.push(count);
+        }
+    }
+    for count in counts {
+        file.stack.set(Some(StackedStep { index: 0, count }));
+        file.lacks_position.set(None);
+        let has_particles = has_particles(file, group);
+        file.stack.set(None);
+        if has_particles? {
+            return Ok(Some(count));
+        }
+    }
+    Ok(None)
 }
 
 /// The steps among groups: those with the first prefix of which one has particles. Iterations can have fields only.

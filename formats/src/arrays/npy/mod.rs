@@ -28,7 +28,7 @@ use crate::core::named_arrays::{ArrayShape, NamedArray, frame_of, position_count
 use crate::core::number::{self, NumberType, components, interleaved};
 use crate::core::row::{Completeness, FormatRow, HeadCheck, ParticleReader};
 use crate::core::steps::{FoundStep, StepSource};
-use crate::core::text::{excerpt, excerpts};
+use crate::core::text::{excerpt, excerpts, surplus_note};
 use crate::core::zip::{ARCHIVE, ArchiveMember, ArchiveTotals, directory, entries};
 use header::{ArrayHeader, COLUMNS_MAX, ElementLayout, StructField};
 
@@ -68,6 +68,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         unnamed_frame(array.ok_or_else(|| no_position(&header))?)?
     };
     frame.notes.append(&mut notes);
+    frame.notes.extend(surplus_note(bytes.len() as u64, (header.data_offset + data.len()) as u64));
     Ok(frame)
 }
 
