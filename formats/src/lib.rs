@@ -62,6 +62,7 @@ pub use table::{Format, OutputFormat, read_provenance};
 use std::borrow::Cow;
 
 use core::row::{MESH_REFUSAL, ParticleReader, ReadParticles};
+use core::times::refuse_several_frames;
 use table::probe::HEAD_BYTES;
 
 /// Reads a frame of particles from a file in any supported format, compressed or not.
@@ -106,7 +107,7 @@ pub fn read_particles_named(
     }
     if !columns.is_empty() && is_text_of_rows(kind) {
         let bytes = compression::decompressed(bytes, limits)?;
-        return with_finite(kind.name(), csv::read_named(&bytes, columns, limits)?);
+        return checked(kind.name(), csv::read_named(&bytes, columns, limits)?);
     }
     let reader = reader_of(kind, codec)?;
     let (bytes, note) = if reader.find_steps.is_some() {
@@ -119,7 +120,7 @@ pub fn read_particles_named(
         ReadParticles::Sample(container) => container.read_alone(kind.name(), &bytes, limits)?,
     };
     frame.notes.extend(note);
-    with_finite(kind.name(), without_columns(frame, columns))
+    checked(kind.name(), without_columns(frame, columns))
 }
 
 /// Like [`read_particles_named`], of a frame that was read.
@@ -136,7 +137,7 @@ pub fn particles_of(
         Loaded::Bytes(bytes) => read_particles_named(&bytes, file_name, columns, limits),
         Loaded::Particles(format, frame) => {
             refuse_columns_of_arrays(Some(format), columns)?;
-            with_finite(format.name(), without_columns(*frame, columns))
+            checked(format.name(), without_columns(*frame, columns))
         }
     }
 }
@@ -172,13 +173,14 @@ fn is_text_of_rows(kind: ProbedKind) -> bool {
     matches!(kind, ProbedKind::Format(Format::Delimited) | ProbedKind::UnknownText)
 }
 
-/// Requires that a frame with particles has one with a finite position.
-fn with_finite(format: &'static str, frame: ParticleFrame) -> Result<ParticleFrame> {
+/// Requires that a frame with particles has one with a finite position, and that it is a single frame.
+fn checked(format: &'static str, frame: ParticleFrame) -> Result<ParticleFrame> {
     let positions = &frame.positions;
     if !positions.is_empty() && !positions.has_finite() {
         let what = format!("none of the {} particles has a finite position", positions.len());
         return Err(Error::invalid(format, Position::File, what));
     }
+    refuse_several_frames(format, &frame)?;
     Ok(frame)
 }
 

@@ -190,3 +190,30 @@ fn texts_of_other_programs_are_no_particles() {
         assert!(found.is_err(), "{name}: {found:?}");
     }
 }
+
+/// Whatever the format, particles of several frames are refused.
+#[test]
+fn joined_frames_are_refused() {
+    let limits = Limits::default();
+    let ply = |name: &str, times: [u8; 2]| {
+        format!(
+            "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+             property uchar {name}\nend_header\n0 0 0 {0}\n1 0 0 {0}\n0 0 0 {1}\n1 0 0 {1}\n",
+            times[0], times[1]
+        )
+    };
+    let json = r#"{"positions": [[0, 0, 0], [1, 0, 0]], "frame": [3, 4]}"#;
+    for (name, text) in
+        [("a.ply", ply("frame", [3, 4])), ("a.ply", ply("t", [3, 4])), ("a.json", json.to_owned())]
+    {
+        let error = read_particles(text.as_bytes(), name, &limits).expect_err("two frames").to_string();
+        assert!(
+            error.contains("several values, such as 3 and 4, so the file joins several frames"),
+            "{error}"
+        );
+    }
+    // One time, times of particles, and a temperature.
+    for text in [ply("frame", [3, 3]), ply("t", [4, 3]), ply("T", [3, 4])] {
+        assert_eq!(read_particles(text.as_bytes(), "a.ply", &limits).expect("a frame").positions.len(), 4);
+    }
+}

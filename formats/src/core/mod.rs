@@ -9,6 +9,7 @@
 //!   columns, first_column     which names are positions, velocities, radii
 //!   named_arrays, records     columns of values
 //!   vertex_attributes, placed_mesh, options, provenance   what writers of meshes share
+//!   times                     which files join several frames
 //!   steps, sequence, sequence_points, narrow_points   what writers of sequences and of points share
 //!   matrix                    transforms
 //!   compression, zip, zstd, lzf, blosc         decompression
@@ -39,6 +40,7 @@ pub(crate) mod sequence;
 pub(crate) mod sequence_points;
 pub(crate) mod steps;
 pub(crate) mod text;
+pub(crate) mod times;
 pub(crate) mod vertex_attributes;
 pub(crate) mod xml;
 pub(crate) mod zip;
