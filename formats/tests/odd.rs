@@ -28,9 +28,8 @@ fn odd_files_are_read_right_or_refused() {
         ("widths_constant.usda", Ok((300, "the radius is half of it"))),
         ("openpmd_mesh_only.h5", Err("expected a group with a data set `pos`")),
         ("maxshape_wrong.h5", Err("its maximal shape is larger than its shape")),
-        // The first row is the count of those below.
-        ("points.off", Ok((80, ""))),
-        ("count_row_of_three.txt", Ok((960, ""))),
+        ("points.off", Err("found OFF: no column is x, y or z")),
+        ("count_row_of_three.txt", Err("the row \"960 0 0\" may be the number of rows")),
         ("atoms.xsf", Err("--columns")),
         ("type_first_nohead.txt", Err("--columns")),
         ("hash_two_coordinates.csv", Err("--columns")),
@@ -48,6 +47,16 @@ fn odd_files_are_read_right_or_refused() {
             (Err(error), Err(words)) => assert!(error.to_string().contains(words), "{name}: {error}"),
             (found, _) => panic!("{name}: {found:?}"),
         }
+    }
+}
+
+/// The lines that show that the file is refused otherwise are skipped.
+#[test]
+fn named_columns_are_read_below_other_lines() {
+    let columns = [("x", "1"), ("y", "2"), ("z", "3")].map(|(name, column)| (name.into(), column.into()));
+    for (name, count) in [("points.off", 80), ("count_row_of_three.txt", 960)] {
+        let frame = meniscus_formats::read_particles_named(&file(name), name, &columns, &Limits::default());
+        assert_eq!(frame.expect(name).positions.len(), count, "{name}");
     }
 }
 

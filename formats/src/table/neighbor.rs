@@ -32,9 +32,8 @@ pub fn neighbor(head: &[u8], file_name: &str, file: &dyn ReadAt) -> Option<Neigh
         }
         Format::Delimited => {
             let whole_lines = start.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
-            // A number is that of a frame.
-            let may_be_log = !file_name.contains(|letter: char| letter.is_ascii_digit());
-            csv::is_other_table(&start[..whole_lines], may_be_log).then_some(Neighbor::Table)
+            let has_number = file_name.contains(|letter: char| letter.is_ascii_digit());
+            csv::is_other_table(&start[..whole_lines], has_number).then_some(Neighbor::Table)
         }
         Format::Obj => {
             let has_faces_below = || match unpacked {
@@ -167,8 +166,7 @@ mod tests {
             (b"0.0 1000 0.01\n0.1 1000 0.01\n".to_vec(), "energy.dat", table),
             (b"0.0 1000 0.01\n0.1 1000 0.01\n".to_vec(), "a.0001.dat", None),
             (b"# x y z\n0.1 0.2 0.3\n0.1 0.2 0.4\n".to_vec(), "a.dat", None),
-            // Ids increase, too.
-            (b"1 0.1 0.2 0.3\n2 0.1 0.2 0.4\n".to_vec(), "a.dat", None),
+            (b"1 0.1 0.2 0.3\n2 0.1 0.2 0.4\n".to_vec(), "a.1.dat", None),
             (b"# x y z\n0.1 0.2 0.3\n0.2 0.2 0.4\n".to_vec(), "a.dat", None),
             (Vec::new(), "a.vtk", None),
         ] {

@@ -559,7 +559,7 @@ mod tests {
             (b"x,y,z\n", "a.csv", true),
             (b"# x y z", "a.xyz", true),
             (b"type;x;y;z\nwater;1,5;2,5;3,5\n", "a.csv", true), // the reader reports what is wrong
-            (b"made by hand\n\n\"x\",\"y\",\"z\",\r\n1,2,nan,\r\n", "a.txt", true),
+            (b"# made by hand\n\n\"x\",\"y\",\"z\",\r\n1,2,nan,\r\n", "a.txt", true),
             (b"1 2 3\n", "a", true),
             (b"1\t2\t3", "a.log", true),
             (b"ITEM: TIMESTEP\n0\nITEM: ATOMS id type x y z\n1 1 0.5 0.5 0.5\n", "a.dump", true),

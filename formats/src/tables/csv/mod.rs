@@ -1,26 +1,26 @@
 //! Particle tables as text: one row per particle, with any common delimiter.
 //!
 //! ```text
-//!   Simulation of a dam break, t = 0.5 s       free text       skipped with a note
-//!   # made by hand                             a comment       #, % or //
-//!   x, y, z, "Vel.x [m/s]", ..., type          the header      the first line that names a position
-//!   m, m, m, m/s, ..., -                       units           can follow; added to the names
+//!   # made by hand                             a comment       #, %, !, ; or //
+//!   x, y, z, "Vel.x [m/s]", ..., type          the header      names a position
 //!   0.1, 0.2, 0.3, 1.5e-3, ..., water          a row           as many cells as the header
 //!   0.1, nan, 0.3, 0, ..., water               no position     skipped with a note
 //! ```
 //!
+//! The rule: the header names x, y and z, as `core::columns` knows them; or the user does; or there is no header, and
+//! the first three columns of numbers are the position. A comment above the rows can be the header. What may be
+//! something else is refused, with the option that says what it is: a header of other names, a first column of whole
+//! numbers beside fractions (see `first_column.rs`), and a first row that may count the rows or the columns.
+//! If the user names columns, lines above those are skipped.
+//!
 //! The delimiter is a comma, a semicolon, a vertical bar, a tab or blanks: the one with which the header
-//! names a position and the next line has the same number of cells. A comment above the rows can be the
-//! header. Without a header, the first three columns are the position. Any line can end with a delimiter. Any
+//! names a position and the next line has the same number of cells. Any line can end with a delimiter. Any
 //! cell can be quoted, but cannot span several lines.
 //!
 //! A column's type follows from its values. It is text if the first value cannot be a number; otherwise
 //! integer if all values are integers; otherwise float. Floats have 64 bits, regardless of the number of
 //! digits: the digits of one particle must not change how another is read. A note names the columns with
 //! integers that are rounded to floats, because they exceed 64 bits or share the column with other numbers.
-//!
-//! Without names, the first column may also be an id: see `first_column.rs`. The header can consist of
-//! the numbers of the columns: `0,1,2`.
 //!
 //! Text in UTF-16 with a byte-order mark is decoded. Decimal commas are read if a row shows that they are not
 //! delimiters, as in `1,5;2,5;3,5`.
@@ -30,7 +30,6 @@
 
 mod layout;
 mod naming;
-mod raw_bytes;
 mod rows;
 
 use std::borrow::Cow;
@@ -73,15 +72,10 @@ pub fn read_named(bytes: &[u8], columns: &[(String, String)], limits: &Limits) -
     if bytes.is_empty() {
         return Err(Error::truncated(FORMAT, Position::File, "expected text, found an empty file"));
     }
-    let mut text = decoded(bytes);
-    let mut note = None;
-    if let Err(error) = refuse_binary(&text) {
-        let (numbers, of_bytes) = raw_bytes::with_numbers(&text).ok_or(error)?;
-        (text, note) = (numbers.into(), Some(of_bytes));
-    }
+    let text = decoded(bytes);
+    refuse_binary(&text)?;
     let text = layout::with_decimal_points(text);
-    let mut layout = layout::layout(&text, Naming::new(limits, columns))?;
-    layout.notes.extend(note);
+    let layout = layout::layout(&text, Naming::new(limits, columns))?;
     let table = read_table_rows(&text, &layout, limits)?;
     check_times(&layout, &table)?;
     frame(layout, table)
@@ -127,7 +121,7 @@ pub(crate) struct CountedRows {
 /// Those of [`read`]; [`Error::Invalid`] if the number of rows differs from the header's.
 pub(crate) fn read_rows(bytes: &[u8], rows: CountedRows, limits: &Limits) -> Result<Option<ParticleFrame>> {
     let CountedRows { names, position, offset, line, count } = rows;
-    if layout::group(&names, |_| false).position != Some(position) {
+    if naming::group(&names, |_| false).position != Some(position) {
         return Ok(None);
     }
     let layout = layout::TableLayout {
@@ -154,7 +148,10 @@ fn refuse_binary(bytes: &[u8]) -> Result<()> {
     let is_control = |byte: &u8| *byte < b' ' && !matches!(byte, b'\t' | b'\n' | b'\r' | 0x0c);
     match sample.iter().position(is_control) {
         Some(offset) => {
-            let what = format!("expected text, found the byte 0x{:02x}: this is binary data", sample[offset]);
+            let what = format!(
+                "expected text, found the byte 0x{:02x}: this is binary data: write all numbers as text",
+                sample[offset]
+            );
             Err(Error::invalid(FORMAT, Position::Offset(offset as u64), what))
         }
         None => Ok(()),
@@ -255,7 +252,7 @@ fn append(table: &mut Table, next: Table) {
 fn check_times(layout: &TableLayout, table: &Table) -> Result<()> {
     let Some(index) = layout.names.iter().position(|name| is_time(name)) else { return Ok(()) };
     let Some(times) = table.columns[index].numbers() else { return Ok(()) };
-    let groups = layout::group(&layout.names, |index| table.columns[index].is_text()).groups;
+    let groups = naming::group(&layout.names, |index| table.columns[index].is_text()).groups;
     let id = groups.iter().find(|group| group.role == Some(AttributeRole::Id));
     let is_several = match id.and_then(|id| table.columns[id.columns[0]].numbers()) {
         Some(mut ids) => {
@@ -304,7 +301,7 @@ fn frame(layout: TableLayout, mut table: Table) -> Result<ParticleFrame> {
     }
 
     let is_text = |index: usize| table.columns[index].is_text();
-    let groups = layout::group(&layout.names, is_text).groups;
+    let groups = naming::group(&layout.names, is_text).groups;
     let positions = positions(&mut table.columns, layout.position, table.row_count);
     let mut attributes = Vec::with_capacity(groups.len());
     for group in groups {

@@ -1,8 +1,6 @@
 //! Names the columns of a table: new names that the user gives, and what to do if the names have no position.
 
-use super::layout::{NamedColumns, column_name, group};
-use super::rows::{DELIMITERS, cells, unquoted};
-use crate::core::columns;
+use crate::core::columns::{self, Columns};
 use crate::core::limits::Limits;
 use crate::core::text::{excerpts, listed};
 
@@ -59,26 +57,16 @@ impl<'a> Naming<'a> {
         Ok(names)
     }
 
-    /// The position among these columns, of a table that need not have a header.
+    /// The columns with their new names, if those name a position.
     pub(super) fn position_among(self, names: Vec<String>) -> Option<NamedColumns> {
         let names = self.applied(names).ok()?;
         let position = group(&names, |_| false).position?;
         Some(NamedColumns { names, position })
     }
 
-    /// The position among columns without names in the file, which are `written` in its place: they have the usual names,
-    /// unless new names say what the position is.
-    pub(super) fn usual_position(self, written: Vec<String>, usual: NamedColumns) -> Option<NamedColumns> {
-        let is_usual = |new: &String| usual.names.iter().any(|name| columns::is_same_name(name, new));
-        if self.renamed.iter().any(|(new, _)| is_usual(new)) {
-            return None;
-        }
-        let names = self.applied(written.clone()).ok()?;
-        let pairs = names.into_iter().zip(written).zip(usual.names);
-        let names: Vec<String> =
-            pairs.map(|((name, written), usual)| if name == written { usual } else { name }).collect();
-        let position = group(&names, |_| false).position?;
-        Some(NamedColumns { names, position })
+    /// Whether a new name says which column is x, so that it need not be the first one.
+    pub(super) fn has_new_x(self) -> bool {
+        self.renamed.iter().any(|(new, _)| columns::is_same_name(new, AXES[0]))
     }
 
     /// Why these columns have no position, and what to do.
@@ -87,19 +75,39 @@ impl<'a> Naming<'a> {
         if let Err(why) = self.applied(names.clone()) {
             return format!("{why}; found {found}");
         }
-        let expected = "expected a header with position columns, such as x,y,z";
         if !self.renamed.is_empty() {
-            return format!("{expected}; found {found}, and --columns names no x, y and z");
+            return format!("{EXPECTED}; found {found}, and --columns names no x, y and z");
         }
-        let columns = match coordinates(&names) {
-            Some(columns) => columns,
-            None if AXES.iter().any(|axis| has_name(&names, axis)) => {
-                return format!("{expected}; found {found}: {}", add_missing_axes(&names));
-            }
-            None => "x=NAME,y=NAME,z=NAME, or by their numbers from 1 on".to_owned(),
-        };
-        format!("{expected}; found {found}: name the columns, as in --columns {columns}")
+        let missing = AXES.into_iter().filter(|axis| !has_name(&names, axis)).map(str::to_owned).collect();
+        let columns =
+            AXES.map(|axis| format!("{axis}={}", if has_name(&names, axis) { axis } else { "NAME" }));
+        format!(
+            "{EXPECTED}; found {found}: no column is {}: add it, or name the columns, as in --columns {}, also by numbers \
+             from 1 on; lines above them are skipped",
+            listed(missing, "or"),
+            columns.join(",")
+        )
     }
+}
+
+/// What a table must have.
+pub(super) const EXPECTED: &str =
+    "expected a header with position columns, such as x,y,z, or rows of at least three numbers";
+
+/// Column names that include a position.
+pub(super) struct NamedColumns {
+    pub(super) names: Vec<String>,
+    pub(super) position: [usize; 3],
+}
+
+/// Groups the columns by their names. Text columns do not form vectors with numeric ones.
+pub(super) fn group(names: &[String], is_text: impl Fn(usize) -> bool) -> Columns {
+    let columns: Vec<_> = names.iter().enumerate().map(|(index, name)| (&**name, is_text(index))).collect();
+    columns::group_columns(&columns)
+}
+
+pub(super) fn column_name(index: usize) -> String {
+    format!("column_{}", index + 1)
 }
 
 /// Whether one of the names is this one, regardless of case, quotes and unit.
@@ -109,52 +117,6 @@ fn has_name(names: &[impl AsRef<str>], wanted: &str) -> bool {
 
 /// The names of the coordinates.
 const AXES: [&str; 3] = ["x", "y", "z"];
-
-/// The names in a header of two columns that are coordinates.
-pub(super) fn two_coordinates(line: &[u8]) -> Option<Vec<String>> {
-    DELIMITERS.into_iter().find_map(|delimiter| {
-        let names: Vec<String> = cells(line, delimiter)
-            .map(|cell| String::from_utf8_lossy(&unquoted(cell)).into_owned())
-            .collect();
-        let is_axis = |name: &String| has_name(&AXES, name);
-        (names.len() == 2 && names.iter().all(is_axis)).then_some(names)
-    })
-}
-
-/// What to do about columns that name some of the coordinates only.
-pub(super) fn add_missing_axes(names: &[String]) -> String {
-    let missing = AXES.into_iter().filter(|axis| !has_name(names, axis)).map(str::to_owned).collect();
-    let add =
-        format!("no column is {}: add it, with zeros if all particles lie in a plane", listed(missing, "or"));
-    if names.len() < AXES.len() {
-        return add;
-    }
-    let column = |axis: &&str| format!("{axis}={}", if has_name(names, axis) { axis } else { "NAME" });
-    let columns: Vec<String> = AXES.iter().map(column).collect();
-    format!("{add}, or name the columns, as in --columns {}", columns.join(","))
-}
-
-/// The columns that are coordinates by their last or first letters, as a value of --columns; `None` without any.
-fn coordinates(names: &[String]) -> Option<String> {
-    let rest_of = |name: &str, axis: char| {
-        let name = columns::unquoted(name).to_ascii_lowercase();
-        name.strip_suffix(axis).or_else(|| name.strip_prefix(axis)).map(str::to_owned)
-    };
-    let with = |axis, rest: &str| {
-        names.iter().position(|name| rest_of(name, axis).is_some_and(|other| other == rest))
-    };
-    let by_letters = names.iter().enumerate().find_map(|(x, name)| {
-        let rest = rest_of(name, 'x')?;
-        Some([x, with('y', &rest)?, with('z', &rest)?])
-    });
-    let column = |index: usize| {
-        let name = columns::unquoted(&names[index]);
-        let is_plain = !name.is_empty() && !name.contains([',', '=', ' ', '\'', '"']);
-        if is_plain { name.to_owned() } else { (index + 1).to_string() }
-    };
-    let [x, y, z] = by_letters?.map(column);
-    Some(format!("x={x},y={y},z={z}"))
-}
 
 /// The column with this name, exactly or regardless of case, quotes and unit; else the one with this number, from 1 on.
 fn index_of(names: &[String], column: &str) -> Option<usize> {

@@ -10,7 +10,7 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 
 use super::FORMAT;
-use super::layout::{TableLayout, comment, decimal_commas};
+use super::layout::{TableLayout, comment};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
 use crate::core::text::{excerpt, parse_number};
@@ -105,7 +105,7 @@ impl<'a> RowReader<'a> {
                 Some(b' ' | b'\t') if self.line_text().trim_ascii().is_empty() => {
                     self.at += self.line_text().len()
                 }
-                Some(b' ' | b'\t' | b'#' | b'%' | b'/') if comment(self.line_text()).is_some() => {
+                Some(b' ' | b'\t' | b'#' | b'%' | b'!' | b'/') if comment(self.line_text()).is_some() => {
                     self.at += self.line_text().len();
                 }
                 Some(_) => return true,
@@ -234,15 +234,13 @@ impl<'a> RowReader<'a> {
     }
 
     fn not_a_number(&self, text: &[u8], index: usize) -> Error {
-        if has_decimal_comma(text) {
-            return decimal_commas(self.line);
-        }
-        let what = format!(
-            "expected a number in column {}, found {}",
-            quoted_excerpt(self.names[index].as_bytes()),
-            quoted_excerpt(text)
-        );
-        self.wrong(what)
+        let hint = if has_decimal_comma(text) {
+            ": decimal commas are read if there is a digit before them, and one of the first rows has them"
+        } else {
+            ""
+        };
+        let name = quoted_excerpt(self.names[index].as_bytes());
+        self.wrong(format!("expected a number in column {name}, found {}{hint}", quoted_excerpt(text)))
     }
 
     /// An error at the current position. A line without a line end at the end of the file may be truncated.
@@ -305,11 +303,12 @@ fn blanks(text: &[u8], delimiter: Delimiter) -> usize {
 // The grammar of a line: cells, quotes, and numbers.
 
 /// What separates two cells.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Delimiter {
     /// Exactly one of this byte; spaces around it are ignored.
     Byte(u8),
     /// Any number of spaces and tabs.
+    #[default]
     Blanks,
 }
 
