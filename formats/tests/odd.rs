@@ -212,8 +212,9 @@ fn joined_frames_are_refused() {
         )
     };
     let json = r#"{"positions": [[0, 0, 0], [1, 0, 0]], "frame": [3, 4]}"#;
+    let csv = "x,y,z,id,t\n0,0,0,1,3\n1,0,0,2,3\n0,0,0,1,4\n1,0,0,2,4\n";
     for (name, text) in
-        [("a.ply", ply("frame", [3, 4])), ("a.ply", ply("t", [3, 4])), ("a.json", json.to_owned())]
+        [("a.ply", ply("frame", [3, 4])), ("a.json", json.to_owned()), ("a.csv", csv.to_owned())]
     {
         let error = read_particles(text.as_bytes(), name, &limits).expect_err("two frames").to_string();
         assert!(
@@ -222,7 +223,7 @@ fn joined_frames_are_refused() {
         );
     }
     // One time, times of particles, and a temperature.
-    for text in [ply("frame", [3, 3]), ply("t", [4, 3]), ply("T", [3, 4])] {
+    for text in [ply("frame", [3, 3]), ply("t", [4, 3]), ply("t", [3, 4])] {
         assert_eq!(read_particles(text.as_bytes(), "a.ply", &limits).expect("a frame").positions.len(), 4);
     }
 }

@@ -23,10 +23,9 @@ const TIMES: [&str; 13] = [
     "frame_number",
 ];
 
-/// Whether numbers of this name are the time of a frame. A T is a temperature.
+/// Whether numbers of this name are the time of a frame.
 pub(crate) fn is_time(name: &str) -> bool {
-    let name = without_unit(name);
-    name == "t" || TIMES.contains(&&*name.to_ascii_lowercase())
+    TIMES.contains(&&*without_unit(name).to_ascii_lowercase())
 }
 
 /// Refuses particles that have the times of several frames: ids that repeat or, without ids, times in ascending
@@ -38,7 +37,10 @@ pub(crate) fn refuse_several_frames(format: &'static str, frame: &ParticleFrame)
     let numbers = |find: &dyn Fn(&FileAttribute) -> bool| {
         frame.attributes.iter().find(|attribute| attribute.arity == 1 && find(attribute))
     };
-    let Some(time) = numbers(&|attribute| is_time(&attribute.name)) else { return Ok(()) };
+    let is_vague = |name: &str| without_unit(name) == "t";
+    let Some(time) = numbers(&|attribute| is_time(&attribute.name) || is_vague(&attribute.name)) else {
+        return Ok(());
+    };
     let times = wide(&time.values);
     let mut known = times.iter().filter(|time| !time.is_nan());
     let first = known.next();
@@ -49,7 +51,7 @@ pub(crate) fn refuse_several_frames(format: &'static str, frame: &ParticleFrame)
             ids.sort_unstable_by(f64::total_cmp);
             ids.windows(2).any(|pair| pair[0] == pair[1])
         }
-        None => times.is_sorted(),
+        None => times.is_sorted() && !is_vague(&time.name),
     };
     if !is_several {
         return Ok(());

@@ -1,8 +1,8 @@
 //! Finds where the rows of a table begin, and which of their columns are the position.
 //!
-//! The first line that is no comment decides: it is a row of numbers, or else the header. Names in a comment count if
-//! there is one for each cell of the rows. A header without a position is an error, and so is a table without names
-//! whose first column or row may be something else than coordinates.
+//! The header is the line above the first row of numbers, or a line that names a position; lines above it are skipped.
+//! Names in a comment count if there is one for each cell of the rows. A header without a position is an error, and so is
+//! a table without names whose first column or row may be something else than coordinates.
 
 use std::borrow::Cow;
 
@@ -15,6 +15,7 @@ use super::rows::{
 use crate::core::error::{Error, Position, Result};
 use crate::core::first_column::FirstColumn;
 use crate::core::limits::Limits;
+use crate::core::times::is_time;
 
 /// The layout of the rows.
 #[derive(Clone, Debug)]
@@ -58,12 +59,11 @@ pub(super) fn layout(bytes: &[u8], naming: Naming) -> Result<TableLayout> {
 pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
     let (text, limits) = (super::decoded(head), Limits::default());
     let naming = Naming::unchanged(&limits);
-    TableHead::find(&text, naming).is_ok_and(|head| match &head.names {
-        Some((_, names)) => {
-            let fits = head.row.is_none_or(|row| has_cells(row, head.delimiter, names.len()));
-            fits && naming.position_among(names.clone()).is_some()
-        }
-        None => true,
+    TableHead::find(&text, naming).is_ok_and(|head| {
+        head.names.is_none_or(|(_, names)| {
+            let fits = head.row.is_none_or(|row| has_cells(row.text, head.delimiter, names.len()));
+            fits && naming.position_among(names).is_some()
+        })
     })
 }
 
@@ -79,8 +79,8 @@ pub(crate) fn is_other_table(head: &[u8], is_named_like_frame: bool) -> bool {
         return matches!(super::read(&text, &limits), Err(Error::Unsupported { .. }));
     }
     names.len() > 1
-        && has_cells(row, head.delimiter, names.len())
-        && cells(row, head.delimiter).all(|cell| parse_cell(&unquoted(cell)) != CellValue::Text)
+        && has_cells(row.text, head.delimiter, names.len())
+        && !cells(row.text, head.delimiter).any(is_text)
 }
 
 /// Whether a line names a position, and so can be a header.
@@ -105,7 +105,7 @@ struct TableHead<'a> {
     /// The names of the columns, and the line that has them.
     names: Option<Names<'a>>,
     /// The first row.
-    row: Option<&'a [u8]>,
+    row: Option<HeadLine<'a>>,
     delimiter: Delimiter,
     rows_offset: usize,
     rows_line: u64,
@@ -137,7 +137,7 @@ impl<'a> TableHead<'a> {
                     named.map(|(_, names)| names).or_else(|| head.other_names(delimiter, count, naming));
                 return Ok(TableHead {
                     names: names.or(head.names),
-                    row: Some(line.text),
+                    row: Some(line),
                     delimiter,
                     rows_offset: line.offset,
                     rows_line: line.number,
@@ -150,17 +150,18 @@ impl<'a> TableHead<'a> {
                 continue;
             }
             let next = lines.peek_row()?;
-            let (delimiter, names) = header(line.text, next, naming)?;
+            let (delimiter, names) = header(line.text, next.map(|next| next.text), naming)?;
             let is_position = naming.position_among(names.clone()).is_some();
-            let fits = next.is_none_or(|next| has_cells(next, delimiter, names.len()));
-            if naming.renamed.is_empty() || is_position && fits {
+            let fits = next.is_none_or(|next| has_cells(next.text, delimiter, names.len()));
+            let is_above_rows = next.is_some_and(|next| row_shape(next.text).is_some());
+            if is_position && fits || naming.renamed.is_empty() && is_above_rows {
                 let (names, rows_offset) = (Some((line, names)), lines.at);
                 let rows_line = lines.number + 1;
                 return Ok(TableHead { names, row: next, delimiter, rows_offset, rows_line, ..head });
             }
-            // The columns that the user names are below it.
+            // The header, or the columns that the user names, are below it.
             head.skipped.push(line);
-            head.names = (!is_position).then_some((line, names)).or(head.names);
+            head.names = head.names.or((!is_position).then_some((line, names)));
         }
         head.above_nothing(naming, lines.number)
     }
@@ -200,6 +201,7 @@ impl<'a> TableHead<'a> {
 
     /// The columns with the position, or the refusal.
     fn columns(&self, bytes: &[u8], naming: Naming) -> Result<NamedColumns> {
+        let row = self.row.unwrap_or_default();
         if let Some(count) = self.count.filter(|_| naming.renamed.is_empty()) {
             let what = format!(
                 "the row {} may be the number of rows, or numbers of the columns: if it is, name the columns, as in \
@@ -211,22 +213,27 @@ impl<'a> TableHead<'a> {
         if let Some((_, names)) = &self.names
             && let Some(named) = naming.position_among(names.clone())
         {
-            return Ok(named);
+            let mut coordinates =
+                named.position.iter().filter_map(|&x| cells(row.text, self.delimiter).nth(x));
+            let Some(text) = coordinates.find(|cell| is_text(cell)).map(quoted_excerpt) else {
+                return Ok(named);
+            };
+            let what =
+                format!("expected a number, found {text}: put a # before a line of units or other text");
+            return Err(refusal(bytes, row, what));
         }
-        let row = self.row.unwrap_or_default();
-        let column_count = row_shape(row).map_or(0, |(_, count)| count);
+        let column_count = row_shape(row.text).map_or(0, |(_, count)| count);
         let usual = (0..column_count).map(|index| match index {
             0..3 => ["x", "y", "z"][index].to_owned(),
             _ => column_name(index),
         });
         let numbered = naming.position_among(usual.collect());
-        let line = HeadLine { text: row, offset: self.rows_offset, number: self.rows_line };
         match (numbered, &self.names) {
             (Some(numbered), _) if naming.has_new_x() => Ok(numbered),
             (_, Some((line, names))) => Err(refusal(bytes, *line, naming.why_none_among(names.clone()))),
             (None, None) => {
                 let written = (0..column_count).map(column_name).collect();
-                Err(refusal(bytes, line, naming.why_none_among(written)))
+                Err(refusal(bytes, row, naming.why_none_among(written)))
             }
             (Some(numbered), None) => {
                 let rows = first_numbers(&bytes[self.rows_offset..], self.delimiter);
@@ -236,7 +243,7 @@ impl<'a> TableHead<'a> {
                 let what = "the table has no header, and its first column has whole numbers, unlike those beside it: \
                             it may be an id, a type or a position; name the columns, as in --columns x=2,y=3,z=4, or \
                             --columns x=1,y=2,z=3 if the first one is x";
-                Err(refusal(bytes, line, what.to_owned()))
+                Err(refusal(bytes, row, what.to_owned()))
             }
         }
     }
@@ -309,7 +316,7 @@ fn are_names(words: &[String], delimiter: Delimiter, of_rows: Delimiter) -> bool
     };
     let is_sentence = delimiter == Delimiter::Blanks
         && (of_rows != Delimiter::Blanks
-            || !words.first().is_some_and(|word| super::is_time(word)) && !words.iter().any(is_name));
+            || !words.first().is_some_and(|word| is_time(word)) && !words.iter().any(is_name));
     !is_sentence && words.iter().all(|word| parse_cell(word.as_bytes()) == CellValue::Text)
 }
 
@@ -365,6 +372,11 @@ fn counts_columns(row: &[u8], delimiter: Delimiter, below: &[u8]) -> bool {
             .all(|(index, cell)| *unquoted(cell) == *index.to_string().as_bytes())
 }
 
+/// Whether a cell has neither a number nor a mark for a missing one.
+fn is_text(cell: &[u8]) -> bool {
+    parse_cell(&unquoted(cell)) == CellValue::Text
+}
+
 /// The number in a cell.
 fn number(cell: &[u8]) -> Option<f64> {
     match parse_cell(&unquoted(cell)) {
@@ -412,7 +424,7 @@ pub(super) fn comment(line: &[u8]) -> Option<&[u8]> {
 }
 
 /// A line without its line end.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct HeadLine<'a> {
     text: &'a [u8],
     offset: usize,
@@ -465,11 +477,11 @@ impl<'a> HeadLines<'a> {
     }
 
     /// The next line that is neither blank nor a comment, without advancing.
-    fn peek_row(&self) -> Result<Option<&'a [u8]>> {
+    fn peek_row(&self) -> Result<Option<HeadLine<'a>>> {
         let mut lines = HeadLines { ..*self };
         while let Some(line) = lines.next_line()? {
             if comment(line.text).is_none() {
-                return Ok(Some(line.text));
+                return Ok(Some(line));
             }
         }
         Ok(None)

@@ -44,9 +44,10 @@ use crate::core::data::{AttributeRole, FileAttribute, FilePositions, ParticleFra
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
 use crate::core::row::{FormatRow, ParticleReader};
+use crate::core::times::refuse_several_frames;
 use layout::TableLayout;
 use naming::Naming;
-use rows::{Column, ColumnValues, Table, quoted_excerpt};
+use rows::{Column, ColumnValues, Table};
 
 /// The format's name in errors.
 const FORMAT: &str = "delimited text";
@@ -77,8 +78,9 @@ pub fn read_named(bytes: &[u8], columns: &[(String, String)], limits: &Limits) -
     let text = layout::with_decimal_points(text);
     let layout = layout::layout(&text, Naming::new(limits, columns))?;
     let table = read_table_rows(&text, &layout, limits)?;
-    check_times(&layout, &table)?;
-    frame(layout, table)
+    let frame = frame(layout, table)?;
+    refuse_several_frames(FORMAT, &frame)?;
+    Ok(frame)
 }
 
 /// Whether a text starts like a table that has all these columns.
@@ -246,40 +248,6 @@ fn append(table: &mut Table, next: Table) {
 }
 
 // Turns columns into the position and attributes.
-
-/// Refuses a table of several frames, with a column of their times: ids that repeat, or times in ascending
-/// order, show that they are not the times of particles.
-fn check_times(layout: &TableLayout, table: &Table) -> Result<()> {
-    let Some(index) = layout.names.iter().position(|name| is_time(name)) else { return Ok(()) };
-    let Some(times) = table.columns[index].numbers() else { return Ok(()) };
-    let groups = naming::group(&layout.names, |index| table.columns[index].is_text()).groups;
-    let id = groups.iter().find(|group| group.role == Some(AttributeRole::Id));
-    let is_several = match id.and_then(|id| table.columns[id.columns[0]].numbers()) {
-        Some(mut ids) => {
-            ids.sort_unstable_by(f64::total_cmp);
-            ids.windows(2).any(|pair| pair[0] == pair[1])
-        }
-        None => times.is_sorted(),
-    };
-    let mut known = times.iter().filter(|time| !time.is_nan());
-    let first = known.next();
-    let other = known.find(|&time| Some(time) != first).filter(|_| is_several);
-    let (Some(first), Some(other)) = (first, other) else { return Ok(()) };
-    let what = format!(
-        "the column {} has several values, such as {first} and {other}, so the table has several frames: \
-         save each as a file of its own",
-        quoted_excerpt(layout.names[index].as_bytes())
-    );
-    Err(Error::unsupported(FORMAT, what))
-}
-
-/// Whether a column has the time of a frame, by its name.
-fn is_time(name: &str) -> bool {
-    TIMES.contains(&&*columns::without_unit(name).to_ascii_lowercase())
-}
-
-/// Names of a column with the time of a frame, in lower case.
-const TIMES: [&str; 6] = ["time", "timestep", "time_step", "time step", "step", "frame"];
 
 /// Groups the columns by their names.
 ///

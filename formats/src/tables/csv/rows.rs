@@ -617,15 +617,6 @@ impl Column {
         self.has_rounded_integer |= next.has_rounded_integer;
     }
 
-    /// A copy of the values as floats; `None` for text.
-    pub(super) fn numbers(&self) -> Option<Vec<f64>> {
-        match &self.values {
-            ColumnValues::Integers(integers) => Some(integers.iter().copied().map(integer_as_real).collect()),
-            ColumnValues::Reals(reals) => Some(reals.clone()),
-            ColumnValues::Texts(_) => None,
-        }
-    }
-
     /// The column as floats, converting integers. `None` for text.
     pub(super) fn reals(&mut self) -> Option<&mut Vec<f64>> {
         if let ColumnValues::Integers(integers) = &mut self.values {
