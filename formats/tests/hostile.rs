@@ -220,11 +220,11 @@ fn worst_files() -> Vec<(&'static str, Vec<u8>, &'static str)> {
             "names, more than the limit of 4096",
         ),
         ("depth of JSON", [b"{\"a\":".to_vec(), vec![b'['; 8 << 20]].concat(), "the file ends where"),
-        ("depth of a list of JSON", vec![b'['; 8 << 20], "several frames"),
+        ("depth of a list of JSON", vec![b'['; 8 << 20], "save each frame as a file"),
         (
             "row of JSON",
             ["[[", &"0,".repeat(4 << 20), "0]]"].concat().into(),
-            "expected at most 32 numbers, found more",
+            "expected a list of 3 numbers, found 33",
         ),
         (
             "channels of PRT",

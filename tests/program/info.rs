@@ -197,7 +197,7 @@ fn files_that_are_neither_particles_nor_surfaces_are_named() {
         ("notes.md", "text in an unknown format: not a supported particle format"),
         ("picture.png", "PNG image: this is a picture, not particles"),
         ("daemon.toml", "text in an unknown format: not a supported particle format"),
-        ("data.json", "JSON, at byte 1: expected lists of three numbers"),
+        ("data.json", "JSON, at line 1: expected a list of 3 numbers, found 2"),
     ] {
         let result = meniscus(path, &["info", file]);
         assert!(result.status == 2 && result.err.contains(words), "{}", result.err);

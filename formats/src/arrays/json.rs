@@ -13,16 +13,20 @@
 //! start to end, and only its numbers are kept: as integers, or as 64-bit floats, correctly rounded.
 
 use std::borrow::Cow;
+use std::mem::take;
+use std::{fmt, result};
+
+use serde::de::{self, DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
 use crate::arrays::npy::unnamed_frame;
-use crate::core::columns::{Columns, group_columns, of_integers, position_rank, role_of};
-use crate::core::data::{ParticleFrame, Values};
+use crate::core::columns::{Group, group_columns, of_integers, position_rank, role_of};
+use crate::core::data::{FileAttribute, ParticleFrame, Values};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
-use crate::core::named_arrays::{NamedArray, frame_of};
-use crate::core::number::{interleaved, wide};
+use crate::core::named_arrays::{ArrayShape, NamedArray, frame_of, position_count};
+use crate::core::number::wide;
 use crate::core::row::{FormatRow, ParticleReader};
-use crate::core::text::{excerpt, excerpts, line_number};
+use crate::core::text::{excerpt, excerpts};
 
 /// The format's name in errors.
 const FORMAT: &str = "JSON";
@@ -31,19 +35,13 @@ const FORMAT: &str = "JSON";
 ///
 /// # Errors
 ///
-/// [`Error::Truncated`] if the text ends within its first value; [`Error::Invalid`], with the line, or with
-/// the offset in the first line, if it is not JSON or has no positions; [`Error::TooLarge`] beyond `limits`.
+/// [`Error::Truncated`] if the text ends within its first value; [`Error::Invalid`], with line and column, if it is
+/// not JSON or has no positions; [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let mut lists = JsonLists::default();
-    lists.parse(bytes, limits).map_err(|mut error| {
-        if let Error::Truncated { position, .. } | Error::Invalid { position, .. } = &mut error
-            && let Position::Offset(at) = *position
-            && let line @ 2.. = line_number(bytes, usize::try_from(at).unwrap_or(usize::MAX))
-        {
-            *position = Position::Line(line);
-        }
-        error
-    })?;
+    let parsed = lists.parse(bytes, limits);
+    limits.check_attributes(FORMAT, lists.lists.len(), "names")?;
+    parsed?;
     let frame = lists.into_frame()?;
     limits.check_particles(FORMAT, frame.positions.len() as u64)?;
     Ok(frame)
@@ -60,125 +58,40 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
     }
 }
 
-/// A number of a text.
-enum JsonNumber {
-    Integer(i64),
-    Real(f64),
-}
-
 /// The values of one name.
 struct JsonList {
-    /// Empty for positions without a name.
-    name: String,
-    /// The number of values per particle; 0 until it is known.
-    arity: usize,
-    /// Integers up to the first other number, which makes them 64-bit floats.
-    values: Values,
-    /// The number of records with this name.
-    record_count: usize,
-    /// Why the values are skipped.
-    fault: Option<String>,
+    /// The name is empty for particles without one, be they positions or records. The arity is 3 before the first row,
+    /// and 0 if the list is skipped. The values are integers up to the first other number, which makes them 64-bit
+    /// floats.
+    array: NamedArray,
+    /// The number of complete rows, one per particle.
+    row_count: usize,
 }
 
 impl JsonList {
-    fn new(name: String) -> JsonList {
-        JsonList { name, arity: 0, values: Values::I64(Vec::new()), record_count: 0, fault: None }
-    }
-
-    fn skip(&mut self, fault: String) {
-        (self.values, self.arity, self.fault) = (Values::I64(Vec::new()), 0, Some(fault));
-    }
-
-    fn push(&mut self, number: JsonNumber) {
-        match (&mut self.values, number) {
-            (Values::I64(integers), JsonNumber::Integer(integer)) => integers.push(integer),
-            (Values::F64(reals), JsonNumber::Real(real)) => reals.push(real),
-            (Values::F64(reals), JsonNumber::Integer(integer)) => reals.push(integer as f64),
-            (_, real) => {
-                self.widen();
-                self.push(real);
+    fn push(&mut self, integer: Option<i64>, real: f64) {
+        let NamedArray { name, arity, values } = &mut self.array;
+        // An endless row takes no memory.
+        let is_long = name.is_empty() && values.len() > self.row_count * *arity + ROW_MAX;
+        match (values, integer) {
+            _ if *arity == 0 || is_long => {}
+            (Values::I64(integers), Some(integer)) => integers.push(integer),
+            (Values::F64(reals), _) => reals.push(real),
+            (values, _) => {
+                *values = Values::F64(wide(values));
+                self.push(integer, real);
             }
         }
     }
 
-    fn widen(&mut self) {
-        self.values = Values::F64(wide(&self.values));
-    }
-
-    /// Reads the numbers of a particle: a number, or a list of as many as the particles before have.
-    fn read_particle(&mut self, text: &mut JsonText) -> Result<()> {
-        let (at, before) = (text.at, self.values.len());
-        let most = match before {
-            0 if self.name.is_empty() => ROW_MAX,
-            0 => usize::MAX,
-            _ => self.arity,
-        };
-        if text.peek("a number")? == b'[' {
-            let mut has_more = text.opens(b']')?;
-            while has_more {
-                if self.values.len() - before == most {
-                    return Err(text.invalid_at(at, format!("expected at most {most} numbers, found more")));
-                }
-                self.push(text.number()?);
-                has_more = text.continues(b']')?;
-            }
-        } else {
-            self.push(text.number()?);
-        }
-        let found = self.values.len() - before;
-        if found == 0 || before != 0 && found != self.arity {
-            let expected = if found == 0 { 3 } else { self.arity };
-            return Err(text.invalid_at(at, format!("expected {expected} numbers, found {found}")));
-        }
-        self.arity = found;
-        Ok(())
-    }
-
-    /// Reads a list of numbers, or of lists of numbers. Positions without a name must be lists.
-    fn read_particles(&mut self, text: &mut JsonText) -> Result<()> {
-        let is_unnamed = self.name.is_empty();
-        let mut has_more = text.opens(b']')?;
-        while has_more {
-            if is_unnamed && self.arity == 0 && text.follows(b"[[") {
-                return Err(text.invalid("this list has several frames: save each as a file"));
-            }
-            let at = text.at;
-            self.read_particle(text)?;
-            if is_unnamed && self.arity < 3 {
-                let what = format!("expected lists of three numbers, [x, y, z], found {}", self.arity);
-                return Err(text.invalid_at(at, what));
-            }
-            has_more = text.continues(b']')?;
-        }
-        Ok(())
-    }
-
-    /// Reads values. If they are not numbers, and not positions, they are skipped.
-    fn read_or_skip(
-        &mut self,
-        text: &mut JsonText,
-        read: fn(&mut JsonList, &mut JsonText) -> Result<()>,
-    ) -> Result<()> {
-        let start = text.at;
-        if self.fault.is_none() {
-            match read(self, text) {
-                Err(Error::Invalid { position, what, .. }) if position_rank(&self.name).is_none() => {
-                    self.skip(format!("{position}: {what}"));
-                }
-                outcome => return outcome,
-            }
-        }
-        text.at = start;
-        text.skip_value()
+    /// Whether these are positions by their name, or without one.
+    fn is_position(&self) -> bool {
+        self.array.name.is_empty() || position_rank(&self.array.name).is_some()
     }
 
     /// Whether this is a position in a list without inner lists. `x`, `r` and `p` alone have other meanings.
     fn is_flat_position(&self) -> bool {
-        self.arity == 1 && self.name.len() > 1 && position_rank(&self.name).is_some()
-    }
-
-    fn is_vector_position(&self) -> bool {
-        self.arity == 3 && (self.name.is_empty() || position_rank(&self.name).is_some())
+        self.array.arity == 1 && self.array.name.len() > 1 && self.is_position()
     }
 }
 
@@ -186,200 +99,100 @@ impl JsonList {
 #[derive(Default)]
 struct JsonLists {
     lists: Vec<JsonList>,
+    /// The most lists.
+    count_max: usize,
     /// Whether the particles are records.
     has_records: bool,
+    /// What is skipped, and why.
+    notes: Vec<String>,
 }
 
 impl JsonLists {
     /// Reads a text. After an error, the lists contain what was read before it.
     fn parse(&mut self, bytes: &[u8], limits: &Limits) -> Result<()> {
-        let mut text = JsonText { bytes, at: if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 } };
-        match text.peek("a list or an object")? {
-            b'[' => self.read_unnamed(&mut text, limits)?,
-            b'{' => self.read_object(&mut text, limits)?,
-            _ => return Err(text.invalid("expected a list or an object")),
+        self.count_max = limits.attribute_count;
+        let text = without_nan(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes));
+        let mut source = serde_json::Deserializer::from_slice(&text);
+        let document = JsonPart { lists: self, index: 0, level: Level::Document };
+        document.deserialize(&mut source).and_then(|()| source.end()).map_err(|error| error_of(&error))
+    }
+
+    /// Adds a list; returns its index.
+    fn add<E: de::Error>(&mut self, name: &str) -> result::Result<usize, E> {
+        if self.lists.len() > self.count_max {
+            return Err(E::custom("too many names"));
         }
-        match text.skip_space() {
-            Some(_) => Err(text.invalid(
-                "the text goes on after its first value; JSON with a value on each line is not read: put all of them into \
-                 one list, [..]",
-            )),
-            None => Ok(()),
-        }
+        let array = NamedArray { name: name.to_owned(), arity: 3, values: Values::I64(Vec::new()) };
+        self.lists.push(JsonList { array, row_count: 0 });
+        Ok(self.lists.len() - 1)
     }
 
-    /// Adds a list.
-    fn add(&mut self, name: String, limits: &Limits) -> Result<&mut JsonList> {
-        limits.check_attributes(FORMAT, self.lists.len() + 1, "names")?;
-        let index = self.lists.len();
-        self.lists.push(JsonList::new(name));
-        Ok(&mut self.lists[index])
-    }
-
-    fn read_object(&mut self, text: &mut JsonText, limits: &Limits) -> Result<()> {
-        let mut has_more = text.opens(b'}')?;
-        while has_more {
-            let at = text.at;
-            let name = text.key()?.into_owned();
-            let is_unnamed = name.eq_ignore_ascii_case("particles");
-            let is_same = |list: &JsonList| list.name == name || is_unnamed && list.name.is_empty();
-            if self.lists.iter().any(is_same) || is_unnamed && self.has_records {
-                return Err(text.invalid_at(at, format!("the name `{}` appears twice", excerpt(name))));
-            }
-            match text.peek("a value")? {
-                b'[' if is_unnamed => self.read_unnamed(text, limits)?,
-                b'[' => self.add(name, limits)?.read_or_skip(text, JsonList::read_particles)?,
-                _ => {
-                    text.skip_value()?;
-                    self.add(name, limits)?.skip("it is not a list".into());
-                }
-            }
-            has_more = text.continues(b'}')?;
-        }
-        Ok(())
-    }
-
-    /// Reads a list without a name, of positions or of records.
-    fn read_unnamed(&mut self, text: &mut JsonText, limits: &Limits) -> Result<()> {
-        if text.follows(b"[{") {
-            self.has_records = true;
-            return self.read_records(text, limits);
-        }
-        self.add(String::new(), limits)?.read_particles(text)
-    }
-
-    /// Reads a list of objects with the same names.
-    fn read_records(&mut self, text: &mut JsonText, limits: &Limits) -> Result<()> {
-        let start = self.lists.len();
-        let mut record_count = 0;
-        let mut has_more = text.opens(b']')?;
-        while has_more {
-            let record_at = text.at;
-            let mut expected = start;
-            let mut has_values = text.opens(b'}')?;
-            while has_values {
-                let at = text.at;
-                let name = text.key()?;
-                // Most records have the same order.
-                let mut order = (expected..self.lists.len()).chain(start..expected);
-                let index = order.find(|&index| self.lists[index].name == name);
-                expected = index.unwrap_or(expected) + 1;
-                let list = match index {
-                    Some(index) => &mut self.lists[index],
-                    None if record_count == 0 => self.add(name.into_owned(), limits)?,
-                    None => {
-                        let what = format!("the first record has no `{}`", excerpt(&*name));
-                        return Err(text.invalid_at(at, what));
-                    }
-                };
-                list.record_count += 1;
-                list.read_or_skip(text, JsonList::read_particle)?;
-                has_values = text.continues(b'}')?;
-            }
-            record_count += 1;
-            if let Some(list) = self.lists[start..].iter().find(|list| list.record_count != record_count) {
-                let what = format!("expected `{}` once in each record", excerpt(&list.name));
-                return Err(text.invalid_at(record_at, what));
-            }
-            has_more = text.continues(b']')?;
-        }
-        Ok(())
-    }
-
-    /// The lists with one number per particle, by index.
-    fn singles(&self) -> Vec<usize> {
-        (0..self.lists.len()).filter(|&index| self.lists[index].arity == 1).collect()
-    }
-
-    /// These lists as columns.
-    fn columns(&self) -> Columns {
-        let name = |index: usize| (&*self.lists[index].name, ());
-        group_columns(&self.singles().into_iter().map(name).collect::<Vec<_>>())
+    /// Whether there are positions other than a list without inner lists.
+    fn have_vectors(&self) -> bool {
+        let lists = self.lists.iter().filter(|list| list.row_count > 0);
+        let shapes: Vec<_> = lists.map(|list| ArrayShape::of(&list.array)).collect();
+        position_count(&shapes).is_some()
+            || shapes.iter().any(|shape| shape.name.is_empty() && shape.arity == 3)
     }
 
     /// See [`looks_like_particles`]. If the text `is_cut`, the last list is incomplete.
     fn have_positions(&self, is_cut: bool) -> bool {
-        let is_position =
-            |list: &JsonList| list.is_vector_position() || list.is_flat_position() && list.values.len() > 3;
+        let Some(JsonList { array: last, .. }) = self.lists.last() else { return false };
+        let is_known = position_rank(&last.name).is_some() || role_of(&last.name, last.arity).is_some();
         // The positions may follow a long list of another quantity, or y and z may follow x.
-        let may_follow = |last: &JsonList| {
-            let is_known = position_rank(&last.name).is_some() || role_of(&last.name, last.arity).is_some();
-            is_cut && is_known && last.values.len() > LONG_LIST
-        };
-        !(self.has_records && self.lists.iter().any(|list| list.fault.is_some()))
-            && (self.lists.iter().any(is_position)
-                || self.columns().position.is_some()
-                || self.lists.last().is_some_and(may_follow))
+        let may_follow = is_cut && is_known && last.values.len() > LONG_LIST;
+        let are_flat = self.lists.iter().any(|list| list.is_flat_position() && list.row_count > 3);
+        (!self.has_records || self.notes.is_empty()) && (self.have_vectors() || are_flat || may_follow)
     }
 
     fn into_frame(mut self) -> Result<ParticleFrame> {
-        let skipped = self.lists.extract_if(.., |list| list.fault.is_some());
-        let note =
-            |list: JsonList| format!("skipped `{}`: {}", excerpt(&list.name), list.fault.unwrap_or_default());
-        let mut notes: Vec<String> = skipped.map(note).collect();
-        notes.extend(self.split_flat());
-        let no_positions = no_positions(&self.lists, &notes);
-        self.join_columns();
-        let mut arrays: Vec<NamedArray> = self.lists.into_iter().map(array_of).collect();
-        let unnamed = arrays.iter().position(|array| array.name.is_empty()).map(|index| arrays.remove(index));
-        let first = unnamed.map(unnamed_frame).transpose().map_err(|error| error.with_format(FORMAT))?;
-        let (positions, others) =
-            first.map(|first| (first.positions, (first.attributes, first.notes))).unzip();
+        let flat = if self.have_vectors() { None } else { self.split_flat() };
+        self.lists.retain(|list| list.array.arity != 0);
+        let names = excerpts(self.lists.iter().map(|list| &list.array.name));
+        let skipped = self.notes.first().map(|note| format!("; {note}")).unwrap_or_default();
+        let what = "no positions: expected [[x, y, z], ..], records with x, y and z, or an object with a list \
+                    `positions` or with lists x, y and z; found the lists: ";
+        let no_positions = Error::invalid(FORMAT, Position::File, format!("{what}{names}{skipped}"));
+        let mut arrays: Vec<NamedArray> = self.lists.into_iter().map(|list| list.array).collect();
+        widen_columns(&mut arrays);
+        let unnamed = arrays.iter().position(|array| array.name.is_empty());
+        let first = unnamed.map(|index| unnamed_frame(arrays.remove(index))).transpose();
+        let mut first = first.map_err(|error| error.with_format(FORMAT))?;
+        let positions = first.as_mut().map(|first| take(&mut first.positions));
         let mut frame = frame_of(positions, arrays).ok_or(no_positions)?;
-        let (attributes, more) = others.unwrap_or_default();
-        frame.attributes.extend(attributes);
-        frame.notes.extend(more.into_iter().chain(notes));
+        let first = first.unwrap_or_default();
+        frame.attributes.extend(first.attributes);
+        frame.notes.extend(first.notes.into_iter().chain(self.notes).chain(flat));
+        for FileAttribute { values, role, .. } in &mut frame.attributes {
+            if let Values::I64(integers) = values {
+                *values = of_integers(take(integers), *role);
+            }
+        }
         Ok(frame)
     }
 
-    /// If the only positions are a flat list, splits it and the lists of other vectors.
+    /// Splits a flat list of positions, if there is one, and the lists of other vectors.
     fn split_flat(&mut self) -> Option<String> {
-        let has_other =
-            self.lists.iter().any(JsonList::is_vector_position) || self.columns().position.is_some();
-        let can_split = |list: &&JsonList| list.is_flat_position() && list.values.len().is_multiple_of(3);
-        let flat = self.lists.iter().filter(|list| !has_other && can_split(list));
-        let position = flat.min_by_key(|list| position_rank(&list.name))?;
-        let (count, name) = (position.values.len() / 3, excerpt(&position.name));
-        for list in self.lists.iter_mut().filter(|list| list.arity == 1) {
-            list.arity = (1..=4).find(|arity| arity * count == list.values.len()).unwrap_or(1);
+        let flat =
+            self.lists.iter().filter(|list| list.is_flat_position() && list.row_count.is_multiple_of(3));
+        let position = flat.min_by_key(|list| position_rank(&list.array.name))?;
+        let (count, name) = (position.row_count / 3, excerpt(&position.array.name));
+        for JsonList { array, row_count } in self.lists.iter_mut().filter(|list| list.array.arity == 1) {
+            array.arity = (1..=4).find(|arity| arity * count == *row_count).unwrap_or(1);
         }
         Some(format!("each three numbers of `{name}` are a position"))
     }
+}
 
-    /// Joins the lists of the components of a vector. Those that have only integers may be reals, too.
-    fn join_columns(&mut self) {
-        let singles = self.singles();
-        for group in self.columns().groups.into_iter().filter(|group| group.arity() > 1) {
-            let members: Vec<usize> = group.columns.iter().map(|&column| singles[column]).collect();
-            if members.iter().any(|&index| matches!(self.lists[index].values, Values::F64(_))) {
-                members.iter().for_each(|&index| self.lists[index].widen());
-            }
-            let values: Vec<&Values> = members.iter().map(|&index| &self.lists[index].values).collect();
-            if let Some(values) = interleaved(&values) {
-                members.iter().for_each(|&index| self.lists[index].skip(String::new()));
-                let list = JsonList { arity: members.len(), values, ..JsonList::new(group.name) };
-                self.lists[members[0]] = list;
-            }
+/// Makes the components of a vector reals if one of them has reals: only equal types are joined.
+fn widen_columns(arrays: &mut [NamedArray]) {
+    let mut singles: Vec<_> = arrays.iter_mut().filter(|array| array.arity == 1).collect();
+    let names: Vec<_> = singles.iter().map(|array| (&*array.name, ())).collect();
+    for Group { columns, .. } in group_columns(&names).groups {
+        if columns.iter().any(|&at| matches!(singles[at].values, Values::F64(_))) {
+            columns.iter().for_each(|&at| singles[at].values = Values::F64(wide(&singles[at].values)));
         }
-        self.lists.retain(|list| list.fault.is_none());
     }
-}
-
-fn array_of(JsonList { name, arity, values, .. }: JsonList) -> NamedArray {
-    let values = match values {
-        Values::I64(integers) => of_integers(integers, role_of(&name, arity)),
-        values => values,
-    };
-    // An empty list fits any number of values.
-    NamedArray { name, arity: if arity == 0 { 3 } else { arity }, values }
-}
-
-fn no_positions(lists: &[JsonList], notes: &[String]) -> Error {
-    let names = excerpts(lists.iter().map(|list| &list.name));
-    let what = "no positions: expected [[x, y, z], ..], records with x, y and z, or an object with a list \
-                `positions` or with lists x, y and z; found the lists: ";
-    let what = [&[format!("{what}{names}")], notes.get(..1).unwrap_or_default()].concat().join("; ");
-    Error::invalid(FORMAT, Position::File, what)
 }
 
 /// The most numbers of a particle without names.
@@ -388,179 +201,205 @@ const ROW_MAX: usize = 32;
 /// More numbers than a setting has.
 const LONG_LIST: usize = 64;
 
-/// A JSON text, read from start to end.
-struct JsonText<'a> {
-    bytes: &'a [u8],
-    at: usize,
+/// The error of a text.
+fn error_of(error: &serde_json::Error) -> Error {
+    let goes_on = "the text goes on after its first value; JSON with a value on each line is not read: put all of \
+                   them into one list, [..]";
+    let (position, line) = (Position::Line(error.line() as u64), format!(" at line {}", error.line()));
+    let what = error.to_string().replace("trailing characters", goes_on).replace(&line, ",");
+    if error.is_eof() {
+        return Error::truncated(FORMAT, position, format!("the file ends where more was expected: {what}"));
+    }
+    Error::invalid(FORMAT, position, what)
 }
 
-impl<'a> JsonText<'a> {
-    fn invalid(&self, what: impl Into<String>) -> Error {
-        self.invalid_at(self.at, what)
-    }
+/// A text that stands for a number that JSON lacks: as long as `NaN`, so that errors show the right offset.
+const NAN: &str = "\"\x7f\"";
 
-    fn invalid_at(&self, at: usize, what: impl Into<String>) -> Error {
-        Error::invalid(FORMAT, Position::Offset(at as u64), what)
-    }
+/// The bytes at which something begins or ends.
+const MARKS: [u8; 4] = *b"NI\"\\";
 
-    fn cut(&self, expected: &str) -> Error {
-        let what = format!("the file ends where {expected} was expected");
-        Error::truncated(FORMAT, Position::Offset(self.bytes.len() as u64), what)
-    }
-
-    /// Goes to the next byte that is not white space.
-    fn skip_space(&mut self) -> Option<u8> {
-        let rest = self.bytes.get(self.at..).unwrap_or_default();
-        self.at += rest.iter().take_while(|byte| byte.is_ascii_whitespace()).count();
-        self.bytes.get(self.at).copied()
-    }
-
-    /// As `skip_space`; `expected` is named in the error at the end of the text.
-    fn peek(&mut self, expected: &str) -> Result<u8> {
-        self.skip_space().ok_or_else(|| self.cut(expected))
-    }
-
-    /// Whether these bytes are next, with or without white space between them.
-    fn follows(&self, bytes: &[u8]) -> bool {
-        let mut ahead = JsonText { bytes: self.bytes, at: self.at };
-        bytes.iter().all(|byte| {
-            let is_next = ahead.skip_space() == Some(*byte);
-            ahead.at += 1;
-            is_next
-        })
-    }
-
-    fn take(&mut self, expected: u8) -> Result<()> {
-        let shown = char::from(expected);
-        match self.skip_space() {
-            Some(found) if found == expected => {
-                self.at += 1;
-                Ok(())
-            }
-            Some(_) => Err(self.invalid(format!("expected `{shown}`, found `{}`", self.shown()))),
-            None => Err(self.cut(&format!("`{shown}`"))),
+/// The text without the numbers that Python writes, but JSON lacks.
+fn without_nan(bytes: &[u8]) -> Cow<'_, [u8]> {
+    let (mut text, mut at, mut is_quoted) = (Cow::Borrowed(bytes), 0, false);
+    while let Some(step) = bytes.get(at..).and_then(|rest| rest.iter().position(|byte| MARKS.contains(byte)))
+    {
+        at += step;
+        let rest = &bytes[at..];
+        let word: &[u8] = if rest[0] == b'N' { b"NaN" } else { b"Infinity" };
+        // The end of a text that is still being written may be the beginning of a word.
+        let length = word.len().min(rest.len());
+        if !is_quoted && rest[..length] == word[..length] {
+            let start = at - usize::from(bytes[..at].ends_with(b"-"));
+            let padded = format!("{NAN:0$}", at + word.len() - start);
+            text.to_mut()[start..].iter_mut().zip(padded.bytes()).for_each(|(byte, new)| *byte = new);
         }
+        is_quoted ^= rest[0] == b'"';
+        at += 1 + usize::from(rest[0] == b'\\');
     }
+    text
+}
 
-    /// Goes into a list or an object; returns whether it has a value.
-    fn opens(&mut self, end: u8) -> Result<bool> {
-        self.take(if end == b']' { b'[' } else { b'{' })?;
-        let has_value = self.peek("a value")? != end;
-        self.at += usize::from(!has_value);
-        Ok(has_value)
-    }
+/// A name, borrowed unless it has escapes.
+#[derive(serde::Deserialize)]
+struct Name<'a>(#[serde(borrow)] Cow<'a, str>);
 
-    /// Goes on after a value of a list or an object; returns whether there is another.
-    fn continues(&mut self, end: u8) -> Result<bool> {
-        let found = self.peek("`,` or the end of the list")?;
-        if found != b',' && found != end {
-            let end = char::from(end);
-            return Err(self.invalid(format!("expected `,` or `{end}`, found `{}`", self.shown())));
-        }
-        self.at += 1;
-        if found == b',' {
-            self.peek("a value")?;
-        }
-        Ok(found == b',')
-    }
+/// What a value is.
+#[derive(Clone, Copy, PartialEq)]
+enum Level {
+    Document,
+    /// The value of a name, or a list without one.
+    List,
+    /// The numbers of a particle, or a record in a list without a name.
+    Row,
+    Number,
+}
 
-    /// The next bytes, for a message.
-    fn shown(&self) -> String {
-        let rest = self.bytes.get(self.at..).unwrap_or_default();
-        excerpt(rest.split(u8::is_ascii_whitespace).next().unwrap_or_default())
-    }
+/// A value that is read into the list with this index; a record is read into those after it.
+struct JsonPart<'a> {
+    lists: &'a mut JsonLists,
+    index: usize,
+    level: Level,
+}
 
-    /// A name and the colon after it.
-    fn key(&mut self) -> Result<Cow<'a, str>> {
-        let start = self.at;
-        self.take(b'"')?;
-        self.skip_string()?;
-        let quoted = &self.bytes[start..self.at];
-        let name = if quoted.contains(&b'\\') {
-            let invalid = |_| self.invalid_at(start, "expected a name in quotes");
-            Cow::Owned(serde_json::from_slice(quoted).map_err(invalid)?)
-        } else {
-            String::from_utf8_lossy(&quoted[1..quoted.len() - 1])
+impl JsonPart<'_> {
+    /// Skips the list, or fails if it is the position.
+    fn skip<E: de::Error>(&mut self, what: fmt::Arguments) -> result::Result<(), E> {
+        let Some(list) = self.lists.lists.get_mut(self.index) else {
+            return Err(E::custom("expected a list or an object"));
         };
-        // The empty name is that of positions without one.
-        let name = if name.is_empty() { Cow::Borrowed("_") } else { name };
-        self.take(b':')?;
-        self.peek("a value")?;
-        Ok(name)
-    }
-
-    /// Goes to the end of a string, from the byte after its first quote.
-    fn skip_string(&mut self) -> Result<()> {
-        loop {
-            let rest = self.bytes.get(self.at..).unwrap_or_default();
-            let Some(length) = rest.iter().position(|byte| matches!(byte, b'"' | b'\\')) else {
-                return Err(self.cut("the end of a string"));
+        if self.level != Level::List && list.is_position() {
+            return Err(E::custom(what));
+        }
+        if take(&mut list.array.arity) != 0 {
+            let name = if list.array.name.is_empty() { "particles" } else { &list.array.name };
+            let why = match self.level {
+                Level::Row | Level::Number => format!("row {}: {what}", list.row_count + 1),
+                Level::Document | Level::List => "it is not a list".into(),
             };
-            let is_escape = rest[length] == b'\\';
-            self.at += length + 1 + usize::from(is_escape);
-            if !is_escape {
-                return Ok(());
-            }
+            self.lists.notes.push(format!("skipped `{}`: {why}", excerpt(name)));
         }
+        list.array.values = Values::I64(Vec::new());
+        Ok(())
     }
 
-    /// A word up to the next delimiter; empty if there is none.
-    fn word(&mut self) -> Result<&'a [u8]> {
-        let rest = self.bytes.get(self.at..).unwrap_or_default();
-        let is_part = |byte: &u8| byte.is_ascii_alphanumeric() || b"+-._".contains(byte);
-        let Some(length) = rest.iter().position(|byte| !is_part(byte)) else {
-            return Err(self.cut("the end of a number"));
+    fn number<E: de::Error>(&mut self, integer: Option<i64>, real: f64) -> result::Result<(), E> {
+        if let Level::Document | Level::List = self.level {
+            return self.skip(format_args!(""));
+        }
+        self.lists.lists[self.index].push(integer, real);
+        if self.level == Level::Row { self.end_row() } else { Ok(()) }
+    }
+
+    /// Checks that a row has as many numbers as those before.
+    fn end_row<E: de::Error>(&mut self) -> result::Result<(), E> {
+        let JsonList { array, row_count } = &mut self.lists.lists[self.index];
+        let found = array.values.len() - *row_count * array.arity;
+        let fits_others = found > 0 && (*row_count == 0 || found == array.arity);
+        if fits_others && (!array.name.is_empty() || (3..=ROW_MAX).contains(&found)) {
+            array.arity = found;
+            return Ok(());
+        }
+        match array.arity {
+            0 => self.skip(format_args!("expected an object, as before")),
+            arity => self.skip(format_args!("expected a list of {arity} numbers, found {found}")),
+        }
+    }
+}
+
+impl<'de> DeserializeSeed<'de> for JsonPart<'_> {
+    type Value = ();
+
+    fn deserialize<D: Deserializer<'de>>(self, source: D) -> result::Result<(), D::Error> {
+        source.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for JsonPart<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("particles")
+    }
+
+    fn visit_unit<E: de::Error>(mut self) -> result::Result<(), E> {
+        self.number(None, f64::NAN)
+    }
+
+    fn visit_bool<E: de::Error>(mut self, is_set: bool) -> result::Result<(), E> {
+        self.number(Some(is_set.into()), is_set.into())
+    }
+
+    fn visit_i64<E: de::Error>(mut self, integer: i64) -> result::Result<(), E> {
+        self.number(Some(integer), integer as f64)
+    }
+
+    fn visit_u64<E: de::Error>(mut self, integer: u64) -> result::Result<(), E> {
+        self.number(integer.try_into().ok(), integer as f64)
+    }
+
+    fn visit_f64<E: de::Error>(mut self, real: f64) -> result::Result<(), E> {
+        self.number(None, real)
+    }
+
+    fn visit_str<E: de::Error>(mut self, text: &str) -> result::Result<(), E> {
+        if *text == NAN[1..2] {
+            return self.visit_unit();
+        }
+        self.skip(format_args!("expected a number, found a text"))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(mut self, mut seq: A) -> result::Result<(), A::Error> {
+        let level = match self.level {
+            Level::Document => self.lists.add("").map(|_| Level::Row)?,
+            Level::List => Level::Row,
+            Level::Row => Level::Number,
+            Level::Number => {
+                self.skip(format_args!("expected a number, found a list; save each frame as a file"))?;
+                return IgnoredAny.visit_seq(seq).map(drop);
+            }
         };
-        self.at += length;
-        Ok(&rest[..length])
+        while seq.next_element_seed(JsonPart { lists: self.lists, level, ..self })?.is_some() {
+            self.lists.lists[self.index].row_count += usize::from(level == Level::Row);
+        }
+        if self.level == Level::Row { self.end_row() } else { Ok(()) }
     }
 
-    fn number(&mut self) -> Result<JsonNumber> {
-        self.peek("a number")?;
-        let at = self.at;
-        let word = self.word()?;
-        let integer = || std::str::from_utf8(word).ok()?.parse().ok();
-        match word {
-            b"null" => Ok(JsonNumber::Real(f64::NAN)),
-            b"true" => Ok(JsonNumber::Integer(1)),
-            b"false" => Ok(JsonNumber::Integer(0)),
-            _ => match integer() {
-                Some(integer) => Ok(JsonNumber::Integer(integer)),
-                None => fast_float2::parse(word).map(JsonNumber::Real).map_err(|_| {
-                    self.at = at;
-                    self.invalid(format!("expected a number, found `{}`", self.shown()))
-                }),
-            },
-        }
-    }
-
-    /// Goes to the end of any value. Does not check what is between its brackets.
-    fn skip_value(&mut self) -> Result<()> {
-        let mut depth = 0usize;
-        loop {
-            match self.peek("the end of a value")? {
-                b'[' | b'{' => depth += 1,
-                b']' | b'}' if depth > 0 => depth -= 1,
-                b'"' => {
-                    self.at += 1;
-                    self.skip_string()?;
-                    self.at -= 1; // its last quote
-                }
-                b',' | b':' if depth > 0 => {}
-                _ => {
-                    let at = self.at;
-                    if self.word()?.is_empty() {
-                        let what = format!("expected a value, found `{}`", self.shown());
-                        return Err(self.invalid_at(at, what));
-                    }
-                    self.at -= 1;
-                }
+    fn visit_map<A: MapAccess<'de>>(mut self, mut map: A) -> result::Result<(), A::Error> {
+        let (mut next, count, level) = match self.lists.lists.get_mut(self.index) {
+            None => (0, 0, Level::List),
+            Some(JsonList { array, row_count })
+                if self.level == Level::Row && array.name.is_empty() && array.values.len() == 0 =>
+            {
+                (array.arity, self.lists.has_records) = (0, true);
+                (self.index + 1, *row_count + 1, Level::Row)
             }
-            self.at += 1;
-            if depth == 0 {
-                return Ok(());
+            Some(_) => {
+                self.skip(format_args!("expected a number, found an object"))?;
+                return IgnoredAny.visit_map(map).map(drop);
             }
+        };
+        let first = next;
+        while let Some(Name(name)) = map.next_key()? {
+            let name = if name.is_empty() { "_" } else { &*name };
+            let name = if count == 0 && name.eq_ignore_ascii_case("particles") { "" } else { name };
+            // Most records have the same order.
+            let mut order = (next..self.lists.lists.len()).chain(first..next);
+            let index = match order.find(|&index| self.lists.lists[index].array.name == name) {
+                Some(_) if count == 0 => {
+                    return Err(A::Error::custom(format_args!("the name `{}` appears twice", excerpt(name))));
+                }
+                Some(index) => index,
+                None => self.lists.add(name)?,
+            };
+            map.next_value_seed(JsonPart { lists: self.lists, index, level })?;
+            self.lists.lists[index].row_count += count.min(1);
+            next = index + 1;
         }
+        let mut lists = self.lists.lists[first..].iter();
+        let odd =
+            lists.find(|list| count != 0 && list.row_count != count).map(|odd| excerpt(&odd.array.name));
+        odd.map_or(Ok(()), |name| Err(A::Error::custom(format!("expected `{name}` once in each record"))))
     }
 }
 
