@@ -199,6 +199,7 @@ fn position_without_a_name_is_the_longest_vector() {
 
 #[test]
 fn files_without_particles_have_no_frames() {
+    assert_eq!(samples(&file("picture.h5")).unwrap(), []);
     let error = samples(&file("h5md.h5")).unwrap_err().to_string();
     assert!(error.contains("H5MD is not read: save the positions"), "{error}");
     let bytes = file("none.h5");

@@ -6,7 +6,7 @@ use std::path::Path;
 use meniscus_formats::compression::decompressed_so_far;
 use meniscus_formats::steps::{find_steps, step_of_compressed};
 use meniscus_formats::{
-    AttributeRole, Format, Limits, ParticleFrame, ProbedKind, Result, Values, looks_like_mesh,
+    AttributeRole, FilePositions, Format, Limits, ParticleFrame, ProbedKind, Result, Values, looks_like_mesh,
     looks_like_particles, read_particles,
 };
 
@@ -28,7 +28,7 @@ fn odd_files_are_read_right_or_refused() {
         ("widths_constant.usda", Ok((300, "the radius is half of it"))),
         ("openpmd_mesh_only.h5", Err("expected a group with a data set `pos`")),
         ("maxshape_wrong.h5", Err("its maximal shape is larger than its shape")),
-        ("points.off", Err("found OFF: no column is x, y or z")),
+        ("points.off", Err("the row \"80 0 0\" may be the number of rows")),
         ("count_row_of_three.txt", Err("the row \"960 0 0\" may be the number of rows")),
         ("atoms.xsf", Err("--columns")),
         ("type_first_nohead.txt", Err("--columns")),
@@ -200,6 +200,26 @@ fn texts_of_other_programs_are_no_particles() {
     }
 }
 
+#[test]
+fn comments_that_name_positions_of_other_columns_are_asked_about() {
+    let limits = Limits::default();
+    for head in ["# rho x y z sound speed\n", "# Columns: rho x y z\n", "# rho (kg/m3) x (m) y (m) z (m)\n"] {
+        let text = format!("{head}1000.5 0.5 1.5 2.5 340.5\n999.5 0.25 1.25 2.25 341.5\n");
+        let error = read_particles(text.as_bytes(), "a.txt", &limits).expect_err(head).to_string();
+        assert!(error.contains("--columns x=2,y=3,z=4"), "{error}");
+    }
+    let text = "# Columns: rho x y z\n1000.5 0.5 1.5 2.5\n999.5 0.25 1.25 2.25\n";
+    let frame = read_particles(text.as_bytes(), "a.txt", &limits).expect("a name for each column");
+    assert_eq!(frame.positions, FilePositions::F64(vec![[0.5, 1.5, 2.5], [0.25, 1.25, 2.25]]));
+    let text = "# positions x y z of the fluid\n0.5 1.5 2.5\n0.25 1.25 2.25\n";
+    assert_eq!(read_particles(text.as_bytes(), "a.txt", &limits).expect("three columns").positions.len(), 2);
+    // A new name of another column changes nothing.
+    let text = b"rho x y z sound speed\n1000.5 0.5 1.5 2.5 340.5\n";
+    let columns = [("c".to_owned(), "5".to_owned())];
+    assert!(meniscus_formats::read_particles_named(text, "a.txt", &columns, &limits).is_err());
+    assert!(meniscus_formats::read_particles_named(text, "a.txt", &[], &limits).is_err());
+}
+
 /// Whatever the format, particles of several frames are refused.
 #[test]
 fn joined_frames_are_refused() {
@@ -222,6 +242,12 @@ fn joined_frames_are_refused() {
             "{error}"
         );
     }
+    let csv = "t,step,x,y,z\n0,3,0,0,0\n0,3,1,0,0\n0,4,0,0,0\n0,4,1,0,0\n";
+    let error = read_particles(csv.as_bytes(), "a.csv", &limits).expect_err("two steps").to_string();
+    assert!(error.contains("`step` has several values"), "{error}");
+    // Ids that differ by less than a float resolves.
+    let csv = "x,y,z,id,step\n0,0,0,1152921504606846977,3\n1,0,0,1152921504606846978,4\n";
+    assert_eq!(read_particles(csv.as_bytes(), "a.csv", &limits).expect("a frame").positions.len(), 2);
     // One time, times of particles, and a temperature.
     for text in [ply("frame", [3, 3]), ply("t", [4, 3]), ply("t", [3, 4])] {
         assert_eq!(read_particles(text.as_bytes(), "a.ply", &limits).expect("a frame").positions.len(), 4);

@@ -201,7 +201,7 @@ fn take_vector_position(
 }
 
 /// The position among the names of arrays with three values per particle: the name that ranks first.
-fn named_position(names: &[&str]) -> Option<usize> {
+pub(crate) fn named_position(names: &[&str]) -> Option<usize> {
     let ranked = names.iter().enumerate().filter_map(|(index, name)| Some((position_rank(name)?, index)));
     ranked.min().map(|(_, index)| index)
 }
@@ -210,18 +210,19 @@ fn named_position(names: &[&str]) -> Option<usize> {
 /// Taichi's examples and of Newton's bodies.
 const PAIRS: [(&str, &str); 2] = [("f_x", "f_v"), ("q", "qd")];
 
+/// The position of a [pair](PAIRS) among the names of arrays with three values per particle.
+pub(crate) fn paired_position(names: &[&str]) -> Option<usize> {
+    let named = |wanted: &str| names.iter().position(|name| name.eq_ignore_ascii_case(wanted));
+    PAIRS.iter().find_map(|(position, velocity)| Some(named(position).zip(named(velocity))?.0))
+}
+
 /// The position among arrays without the name of one: that of a [pair](PAIRS), or the longest array, if it is the only
 /// vector of its length, has real numbers and no role.
 fn unnamed_position(arrays: &[ArrayShape]) -> Option<usize> {
     let vectors = || arrays.iter().enumerate().filter(|(_, array)| array.arity == 3);
-    let named = |wanted: &str| {
-        let is_named = |(_, array): &(usize, &ArrayShape)| array.name.eq_ignore_ascii_case(wanted);
-        vectors().find(is_named).map(|(index, _)| index)
-    };
-    if let Some((position, _)) =
-        PAIRS.iter().find_map(|(position, velocity)| named(position).zip(named(velocity)))
-    {
-        return Some(position);
+    let names: Vec<&str> = vectors().map(|(_, array)| array.name).collect();
+    if let Some(pair) = paired_position(&names) {
+        return vectors().nth(pair).map(|(index, _)| index);
     }
     let rows_max = arrays.iter().map(|array| array.row_count).max()?;
     let mut longest = vectors().filter(|(_, array)| array.row_count == rows_max);

@@ -1,7 +1,7 @@
 //! Refuses the particles of several frames that one table or list joins.
 
 use crate::core::columns::without_unit;
-use crate::core::data::{AttributeRole, FileAttribute, ParticleFrame};
+use crate::core::data::{AttributeRole, FileAttribute, ParticleFrame, Values};
 use crate::core::error::{Error, Result};
 use crate::core::number::wide;
 use crate::core::text::excerpt;
@@ -28,6 +28,11 @@ pub(crate) fn is_time(name: &str) -> bool {
     TIMES.contains(&&*without_unit(name).to_ascii_lowercase())
 }
 
+/// Whether numbers of this name may be the time of a frame.
+pub(crate) fn may_be_time(name: &str) -> bool {
+    is_time(name) || without_unit(name) == "t"
+}
+
 /// Refuses particles that have the times of several frames: ids that repeat or, without ids, times in ascending
 /// order show that these are not times of the particles.
 ///
@@ -37,8 +42,8 @@ pub(crate) fn refuse_several_frames(format: &'static str, frame: &ParticleFrame)
     let numbers = |find: &dyn Fn(&FileAttribute) -> bool| {
         frame.attributes.iter().find(|attribute| attribute.arity == 1 && find(attribute))
     };
-    let is_vague = |name: &str| without_unit(name) == "t";
-    let Some(time) = numbers(&|attribute| is_time(&attribute.name) || is_vague(&attribute.name)) else {
+    let time = numbers(&|attribute| is_time(&attribute.name));
+    let Some(time) = time.or_else(|| numbers(&|attribute| may_be_time(&attribute.name))) else {
         return Ok(());
     };
     let times = wide(&time.values);
@@ -46,12 +51,8 @@ pub(crate) fn refuse_several_frames(format: &'static str, frame: &ParticleFrame)
     let first = known.next();
     let Some((first, other)) = first.zip(known.find(|&time| Some(time) != first)) else { return Ok(()) };
     let is_several = match numbers(&|attribute| attribute.role == Some(AttributeRole::Id)) {
-        Some(ids) => {
-            let mut ids = wide(&ids.values);
-            ids.sort_unstable_by(f64::total_cmp);
-            ids.windows(2).any(|pair| pair[0] == pair[1])
-        }
-        None => times.is_sorted() && !is_vague(&time.name),
+        Some(ids) => has_twins(&ids.values),
+        None => times.is_sorted() && is_time(&time.name),
     };
     if !is_several {
         return Ok(());
@@ -62,4 +63,16 @@ pub(crate) fn refuse_several_frames(format: &'static str, frame: &ParticleFrame)
         excerpt(&time.name)
     );
     Err(Error::unsupported(format, what))
+}
+
+/// Whether two values are equal. 64-bit integers are compared exactly.
+fn has_twins(values: &Values) -> bool {
+    if let Values::I64(integers) = values {
+        let mut integers = integers.clone();
+        integers.sort_unstable();
+        return integers.windows(2).any(|pair| pair[0] == pair[1]);
+    }
+    let mut reals = wide(values);
+    reals.sort_unstable_by(f64::total_cmp);
+    reals.windows(2).any(|pair| pair[0] == pair[1])
 }

@@ -32,6 +32,7 @@ use crate::core::limits::Limits;
 use crate::core::number::{NumberType, divided};
 use crate::core::records::{RecordLayout, Slots, Target, gather};
 use crate::core::row::{Completeness, FormatRow, HeadCheck, ParticleReader};
+use crate::core::times::may_be_time;
 use crate::core::vertex_attributes;
 
 /// The format's name in errors.
@@ -335,6 +336,10 @@ fn find_records(
     limits: &Limits,
 ) -> Result<Result<Option<Records>>> {
     let header = header_within(head, limits)?;
+    // Times are compared when the file is read as a whole.
+    if header.attributes.iter().any(|attribute| may_be_time(&attribute.name)) {
+        return Ok(Ok(None));
+    }
     // Only compared with the trailer, so data of another length is not read.
     let rest = if file_bytes == header.expected_bytes() {
         batches::read(file, header.points_end()..file_bytes)

@@ -41,6 +41,7 @@ use crate::core::row::{
     ParticleReader, ParticleWriter,
 };
 use crate::core::text::{excerpt, excerpts, surplus_note};
+use crate::core::times::may_be_time;
 use rows::{RecordReader, checked_binary_count, checked_count, rows_of, scalar_offsets};
 
 /// The format's name in errors.
@@ -402,7 +403,9 @@ fn records(header: &PlyHeader, file_bytes: u64, limits: &Limits) -> Result<Optio
     let VertexElement { element, columns, position } = vertices(header)?;
     let Some(endian) = header.encoding.endian() else { return Ok(None) };
     let earlier = || header.elements.iter().take_while(|earlier| !std::ptr::eq(*earlier, element));
-    if element.has_list() || earlier().any(Element::has_list) {
+    // Times are compared when the file is read as a whole.
+    let may_join_frames = columns.groups.iter().any(|group| may_be_time(&group.name));
+    if may_join_frames || element.has_list() || earlier().any(Element::has_list) {
         return Ok(None);
     }
     let mut at = header.body_offset as u64;

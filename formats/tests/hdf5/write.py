@@ -91,6 +91,10 @@ with new("stacked.h5") as file:
 with new("stacked_pair.h5") as file:
     file["q"], file["qd"] = stack, np.stack([VELOCITY] * 3)
 
+# Neither a picture nor a tensor field is a stack of positions.
+with new("picture.h5") as file:
+    file["image"] = np.zeros((4, 5, 3))
+
 # A box at each step, and positions below a group.
 with new("h5md.h5") as file:
     file.create_group("h5md").attrs["version"] = [1, 1]

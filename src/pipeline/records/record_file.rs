@@ -77,7 +77,7 @@ impl OwnFile {
     }
 
     /// Its size in bytes.
-    pub(super) fn size(&self) -> io::Result<u64> {
+    fn size(&self) -> io::Result<u64> {
         Ok(self.file.metadata()?.len())
     }
 

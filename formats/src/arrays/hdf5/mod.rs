@@ -35,7 +35,8 @@ use crate::core::data::{FilePositions, ParticleFrame, Values};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
 use crate::core::named_arrays::{
-    ArrayShape, NamedArray, ParticlePart, frame_of, joined_parts, position_count, unnamed_position_count,
+    ArrayShape, NamedArray, ParticlePart, frame_of, joined_parts, named_position, paired_position,
+    position_count, unnamed_position_count,
 };
 use crate::core::number::wide;
 use crate::core::row::{FormatRow, ParticleReader};
@@ -231,28 +232,21 @@ fn steps(file: &HdfFile) -> Result<Vec<HdfStep>> {
     Ok(steps)
 }
 
-/// The number of steps that data sets of a group are stacks of: the first axis of those of shape (T, N, 3), if their
-/// first step has particles; `None` if there are none.
+/// The number of steps that data sets of a group are stacks of: the first axis of a position of shape (T, N, 3); `None` if
+/// there is none.
 fn stacked_steps(file: &HdfFile, group: &Group) -> Result<Option<u64>> {
-    let mut counts: Vec<u64> = Vec::new();
-    for name in &file.members(group)?.1 {
+    let (_, data_sets) = file.members(group)?;
+    let (mut names, mut counts) = (Vec::new(), Vec::new());
+    for name in &data_sets {
         if let Ok(data) = group.dataset(name)
             && let [count, _, 3] = *data.shape()
-            && !counts.contains(&count)
         {
+            names.push(&**name);
             counts.push(count);
         }
     }
-    for count in counts {
-        file.stack.set(Some(StackedStep { index: 0, count }));
-        file.lacks_position.set(None);
-        let has_particles = has_particles(file, group);
-        file.stack.set(None);
-        if has_particles? {
-            return Ok(Some(count));
-        }
-    }
-    Ok(None)
+    let position = named_position(&names).or_else(|| paired_position(&names));
+    Ok(position.map(|index| counts[index]))
 }
 
 /// The steps among groups: those with the first prefix of which one has particles. Iterations can have fields only.

@@ -153,8 +153,8 @@ impl<'a> TableHead<'a> {
             let (delimiter, names) = header(line.text, next.map(|next| next.text), naming)?;
             let is_position = naming.position_among(names.clone()).is_some();
             let fits = next.is_none_or(|next| has_cells(next.text, delimiter, names.len()));
-            let is_above_rows = next.is_some_and(|next| row_shape(next.text).is_some());
-            if is_position && fits || naming.renamed.is_empty() && is_above_rows {
+            let is_above_numbers = next.is_some_and(|next| has_only_numbers(next.text, delimiter));
+            if is_position && fits || is_above_numbers && !naming.has_new_x() {
                 let (names, rows_offset) = (Some((line, names)), lines.at);
                 let rows_line = lines.number + 1;
                 return Ok(TableHead { names, row: next, delimiter, rows_offset, rows_line, ..head });
@@ -178,7 +178,8 @@ impl<'a> TableHead<'a> {
     /// The file ends before any row: a comment can still be the header.
     fn above_nothing(self, naming: Naming, line: u64) -> Result<TableHead<'a>> {
         let rows_line = line + 1;
-        match self.names_in_comments(naming, |names| naming.position_among(names.to_vec()).is_some()) {
+        let named = self.names_in_comments(naming, |names| naming.position_among(names.to_vec()).is_some());
+        match named.filter(|_| self.names.is_none()) {
             Some((delimiter, names)) => Ok(TableHead { names: Some(names), delimiter, rows_line, ..self }),
             None if self.names.is_some() => Ok(TableHead { rows_line, ..self }),
             None => {
@@ -205,7 +206,7 @@ impl<'a> TableHead<'a> {
         if let Some(count) = self.count.filter(|_| naming.renamed.is_empty()) {
             let what = format!(
                 "the row {} may be the number of rows, or numbers of the columns: if it is, name the columns, as in \
-                 --columns x=1,y=2,z=3, and it is skipped",
+                 --columns x=1,y=2,z=3, and it is skipped; if it is a particle, write the header without a mark",
                 quoted_excerpt(count.text)
             );
             return Err(refusal(bytes, count, what));
@@ -236,6 +237,18 @@ impl<'a> TableHead<'a> {
                 Err(refusal(bytes, row, naming.why_none_among(written)))
             }
             (Some(numbered), None) => {
+                if column_count > 3
+                    && let Some((_, (comment, _))) = self.names_in_comments(naming, |names| {
+                        naming.position_among(names.to_vec()).is_some_and(|named| named.position != [0, 1, 2])
+                    })
+                {
+                    let what = format!(
+                        "{} names x, y and z, but has not one name for each of the {column_count} columns: name the \
+                         columns, as in --columns x=2,y=3,z=4",
+                        quoted_excerpt(comment.text)
+                    );
+                    return Err(refusal(bytes, comment, what));
+                }
                 let rows = first_numbers(&bytes[self.rows_offset..], self.delimiter);
                 if FirstColumn::of(rows, column_count) == FirstColumn::Coordinate {
                     return Ok(numbered);
@@ -276,7 +289,10 @@ fn header(line: &[u8], next: Option<&[u8]>, naming: Naming) -> Result<(Delimiter
 
 /// The names in a comment, with each delimiter. A comment with too many words is prose.
 fn names_by_delimiter(line: HeadLine, limits: Limits) -> impl Iterator<Item = (Delimiter, Names)> {
-    let text = comment(line.text).unwrap_or_default();
+    let text = comment(line.text).unwrap_or_default().trim_ascii();
+    // A label is no name of a column: `# Columns: x y z`.
+    let label = text.iter().position(u8::is_ascii_whitespace).filter(|end| text[..*end].ends_with(b":"));
+    let text = &text[label.unwrap_or(0)..];
     DELIMITERS.into_iter().filter_map(move |delimiter| {
         let names = names_in(text, delimiter, &limits).ok()?;
         Some((delimiter, (line, names)))
@@ -347,6 +363,11 @@ fn row_shape(line: &[u8]) -> Option<(Delimiter, usize)> {
         let ends_with_delimiter = cells(line, delimiter).last().is_some_and(<[u8]>::is_empty);
         Some((delimiter, count - usize::from(ends_with_delimiter)))
     })
+}
+
+/// Whether a line has several cells, and all have numbers.
+fn has_only_numbers(line: &[u8], delimiter: Delimiter) -> bool {
+    cells(line, delimiter).count() > 1 && cells(line, delimiter).all(|cell| number(cell).is_some())
 }
 
 /// Whether a line starts with three cells of a kind.
