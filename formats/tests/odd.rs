@@ -28,7 +28,7 @@ fn odd_files_are_read_right_or_refused() {
         ("widths_constant.usda", Ok((300, "the radius is half of it"))),
         ("openpmd_mesh_only.h5", Err("expected a group with a data set `pos`")),
         ("maxshape_wrong.h5", Err("its maximal shape is larger than its shape")),
-        ("points.off", Err("the row \"80 0 0\" may be the number of rows")),
+        ("points.off", Err("the row \"80 0 0\" below \"OFF\" may be the number of rows")),
         ("count_row_of_three.txt", Err("the row \"960 0 0\" may be the number of rows")),
         ("atoms.xsf", Err("--columns")),
         ("type_first_nohead.txt", Err("--columns")),

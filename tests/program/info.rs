@@ -371,3 +371,11 @@ fn particles_in_scenes_are_described() {
         }
     }
 }
+
+#[test]
+fn stage_without_prims_is_described_as_one_without_particles() {
+    let folder = tempdir().expect("a folder");
+    fs::write(folder.path().join("empty.usda"), "#usda 1.0\n").expect("written");
+    let result = meniscus(folder.path(), &["info", "empty.usda"]);
+    assert!(result.err.contains("no prims of the type Points or PointInstancer"), "{}", result.err);
+}

@@ -270,7 +270,12 @@ impl FileInfo {
             },
             // Other programs write no summary.
             Format::Usda | Format::Usdc | Format::Usdz | Format::Abc if self.made_by.is_none() => {
-                let Some((mesh, is_animated)) = read_scene_mesh(path)? else { return Ok(false) };
+                let (mesh, is_animated) = match read_scene_mesh(path) {
+                    Ok(Some(found)) => found,
+                    // Without meshes, it may have particles; their reader says what it has.
+                    Ok(None) | Err(meniscus_formats::Error::Unsupported { .. }) => return Ok(false),
+                    Err(error) => return Err(error.into()),
+                };
                 self.mesh = Some(MeshInfo::of(&mesh));
                 let note = "the meshes are animated: these are those of the first samples";
                 self.notes.extend(is_animated.then(|| note.to_owned()));

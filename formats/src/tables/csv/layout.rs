@@ -204,8 +204,10 @@ impl<'a> TableHead<'a> {
     fn columns(&self, bytes: &[u8], naming: Naming) -> Result<NamedColumns> {
         let row = self.row.unwrap_or_default();
         if let Some(count) = self.count.filter(|_| naming.renamed.is_empty()) {
+            let above = self.skipped.iter().find(|line| line.number < count.number);
+            let above = above.map_or(String::new(), |line| format!(" below {}", quoted_excerpt(line.text)));
             let what = format!(
-                "the row {} may be the number of rows, or numbers of the columns: if it is, name the columns, as in \
+                "the row {}{above} may be the number of rows, or numbers of the columns: if it is, name the columns, as in \
                  --columns x=1,y=2,z=3, and it is skipped; if it is a particle, write the header without a mark",
                 quoted_excerpt(count.text)
             );
