@@ -355,28 +355,42 @@ pub(super) fn leaves_around_boxes(
     margin: i32,
     is_wanted: impl Fn(IVec3) -> bool + Sync,
 ) -> Vec<IVec3> {
-    let edge = IVec3::splat(LEAF_EDGE);
-    let apart_max = (margin + 1) * (margin + 1);
     let touched = |boxes: &[(IVec3, CoordBox)]| {
         checkpoint();
-        let mut origins = FxHashSet::default();
-        for (origin, voxels) in boxes.iter().filter(|(_, voxels)| !voxels.is_empty()) {
-            let (first, last) =
-                ((voxels.min - margin).div_euclid(edge), (voxels.max + margin).div_euclid(edge));
-            let is_near = |leaf: &IVec3| {
-                let apart = (voxels.min - (leaf + (LEAF_EDGE - 1))).max(leaf - voxels.max).max(IVec3::ZERO);
-                apart.length_squared() <= apart_max
-            };
-            for x in first.x..=last.x {
-                for y in first.y..=last.y {
-                    let along_z = (first.z..=last.z).map(|z| IVec3::new(x, y, z) * LEAF_EDGE);
-                    origins.extend(along_z.filter(is_near).map(|leaf| origin + leaf));
-                }
-            }
+        let mut origins = FxHashSet::with_capacity_and_hasher(boxes.len(), Default::default());
+        for boxes in boxes.chunk_by(|(leaf, _), (next, _)| leaf == next) {
+            for_each_leaf_around(boxes, margin, |origin| {
+                origins.insert(origin);
+            });
         }
         origins.into_iter().filter(|&origin| is_wanted(origin)).collect::<Vec<_>>()
     };
     boxes.par_chunks(BOXES).halved().flat_map_iter(touched).collect()
+}
+
+/// Calls `each` once for each leaf around the boxes of one origin, as [`leaves_around_boxes`] finds them.
+pub(super) fn for_each_leaf_around(boxes: &[(IVec3, CoordBox)], margin: i32, mut each: impl FnMut(IVec3)) {
+    let boxes = || boxes.iter().filter(|(_, voxels)| !voxels.is_empty());
+    let Some(&(origin, mut around)) = boxes().next() else { return };
+    for (_, voxels) in boxes() {
+        around.include(voxels.min);
+        around.include(voxels.max);
+    }
+    let apart_max = (margin + 1) * (margin + 1);
+    let is_near = |leaf: IVec3| {
+        boxes().any(|(_, voxels)| {
+            let apart = (voxels.min - (leaf + (LEAF_EDGE - 1))).max(leaf - voxels.max).max(IVec3::ZERO);
+            apart.length_squared() <= apart_max
+        })
+    };
+    let edge = IVec3::splat(LEAF_EDGE);
+    let (first, last) = ((around.min - margin).div_euclid(edge), (around.max + margin).div_euclid(edge));
+    for x in first.x..=last.x {
+        for y in first.y..=last.y {
+            let along_z = (first.z..=last.z).map(|z| IVec3::new(x, y, z) * LEAF_EDGE);
+            along_z.filter(|&leaf| is_near(leaf)).for_each(|leaf| each(origin + leaf));
+        }
+    }
 }
 
 /// Number of boxes whose leaves are collected together.

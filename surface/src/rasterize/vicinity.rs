@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
 use super::bin::{LeafCoords, cell_of};
-use super::culling::{Cover, OctantBall, Uncovered, leaves_of_boxes};
+use super::culling::{Cover, OctantBall, Uncovered, for_each_leaf_around};
 use super::meet;
 use super::occupancy::{Occupancy, Octants};
 use crate::grid::{LEAF_EDGE, LEAF_VOXELS, LeafMask, NO_LEAF};
@@ -135,7 +135,11 @@ impl Vicinity {
         near.sort_by_cached_key(|&leaf| count_of(leaves.origins()[leaf]).1);
         let around = |&leaf: &usize| {
             let voxels = self.cells[leaf].bounding_box().expanded(margin);
-            leaves_of_boxes(&[(leaves.origins()[leaf], voxels)], |origin| leaves.find(origin).is_some())
+            let mut around = Vec::new();
+            for_each_leaf_around(&[(leaves.origins()[leaf], voxels)], 0, |origin| {
+                around.extend(leaves.find(origin).map(|_| origin));
+            });
+            around
         };
         let mut blocks: Vec<GatherBlock> = Vec::new();
         // Full, so that the first leaf begins a block.

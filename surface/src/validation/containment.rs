@@ -313,28 +313,10 @@ impl TrianglesByLeaf {
     fn new(part: &CheckedRegion, leaves: &[IVec3]) -> TrianglesByLeaf {
         let leaf_indices: FxHashMap<IVec3, u32> = leaves.iter().copied().zip(0..).collect();
         let pieces = part.mesh.triangles.par_chunks(CHUNK).enumerate();
-        let mut triangles: Vec<(u32, u32)> = pieces
-            .halved()
-            .flat_map_iter(|(piece, triangles)| {
-                let mut found = Vec::new();
-                for (&triangle, index) in triangles.iter().zip((piece * CHUNK) as u32..) {
-                    let [first, last] = cells_of_box(&corners(part.mesh, triangle, part.lattice));
-                    let (first, last) = (first & !(LEAF_EDGE - 1), last & !(LEAF_EDGE - 1));
-                    for x in (first.x..=last.x).step_by(LEAF_EDGE as usize) {
-                        for y in (first.y..=last.y).step_by(LEAF_EDGE as usize) {
-                            for z in (first.z..=last.z).step_by(LEAF_EDGE as usize) {
-                                found.extend(
-                                    leaf_indices
-                                        .get(&IVec3::new(x, y, z))
-                                        .map(|&leaf_index| (leaf_index, index)),
-                                );
-                            }
-                        }
-                    }
-                }
-                found
-            })
-            .collect();
+        let find = |(piece, triangles)| {
+            dispatch(FindTriangles { part, leaves: &leaf_indices, first: piece * CHUNK, triangles })
+        };
+        let mut triangles: Vec<(u32, u32)> = pieces.halved().flat_map_iter(find).collect();
         triangles.par_sort_unstable();
         TrianglesByLeaf { leaf_indices, triangles }
     }
@@ -346,6 +328,37 @@ impl TrianglesByLeaf {
             .iter()
             .take_while(move |&&(other, _)| other == leaf_index)
             .map(|(_, triangle)| triangle)
+    }
+}
+
+/// Kernel: pairs some triangles with the leaves that they touch.
+struct FindTriangles<'a> {
+    part: &'a CheckedRegion<'a>,
+    leaves: &'a FxHashMap<IVec3, u32>,
+    /// The index of the first of these triangles in the mesh.
+    first: usize,
+    triangles: &'a [[u32; 3]],
+}
+
+impl Kernel for FindTriangles<'_> {
+    type Output = Vec<(u32, u32)>;
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> Vec<(u32, u32)> {
+        let CheckedRegion { mesh, lattice, .. } = self.part;
+        let mut found = Vec::new();
+        for (&triangle, index) in self.triangles.iter().zip(self.first as u32..) {
+            let [first, last] =
+                cells_of_box(&corners(mesh, triangle, lattice)).map(|cell| cell & !(LEAF_EDGE - 1));
+            for x in (first.x..=last.x).step_by(LEAF_EDGE as usize) {
+                for y in (first.y..=last.y).step_by(LEAF_EDGE as usize) {
+                    for z in (first.z..=last.z).step_by(LEAF_EDGE as usize) {
+                        found.extend(self.leaves.get(&IVec3::new(x, y, z)).map(|&leaf| (leaf, index)));
+                    }
+                }
+            }
+        }
+        found
     }
 }
 

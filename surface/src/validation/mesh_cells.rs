@@ -28,6 +28,7 @@ use crate::grid::{LEAF_EDGE, LeafMask, Topology, negative_masks, offset_in_leaf,
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 use crate::parallel::Loops as _;
+use crate::simd::{self, Kernel, Lanes};
 use crate::space::Lattice;
 
 /// The cells that a mesh passes through, and the signs of φ around them. A cell is identified by its lowest
@@ -58,10 +59,8 @@ impl MeshCells {
         let masks: Vec<[AtomicU64; 8]> = (0..topology.len()).map(|_| Default::default()).collect();
         mesh.triangles.par_chunks(CHUNK).halved().for_each(|triangles| {
             checkpoint();
-            let mut marker = Marker { topology, masks: &masks, found: None };
-            for &triangle in triangles {
-                passed_cells(&corners(mesh, triangle, lattice), |cell| marker.mark(cell));
-            }
+            let marker = Marker { topology, masks: &masks, found: None };
+            simd::dispatch(MarkTriangles { mesh, lattice, triangles, marker });
         });
         let touched = masks.into_par_iter();
         let touched = touched.map(|words| LeafMask { words: words.map(AtomicU64::into_inner) }).collect();
@@ -139,10 +138,15 @@ fn step_of(number: i32, width: i32) -> IVec3 {
 /// The corners of a triangle, in voxels.
 #[inline(always)]
 pub(super) fn corners(mesh: &Mesh, triangle: [u32; 3], lattice: &Lattice) -> [DVec3; 3] {
-    triangle.map(|vertex| (mesh.origin + mesh.positions[vertex as usize].as_dvec3()) / lattice.voxel_size)
+    let [a, b, c] = triangle;
+    // Written out, because the closure of `map` is not inlined.
+    let corner =
+        |vertex: u32| (mesh.origin + mesh.positions[vertex as usize].as_dvec3()) / lattice.voxel_size;
+    [corner(a), corner(b), corner(c)]
 }
 
 /// The first and the last cell of a triangle's bounding box.
+#[inline(always)]
 pub(super) fn cells_of_box(corners: &[DVec3; 3]) -> [IVec3; 2] {
     let [a, b, c] = *corners;
     let (low, high) = (a.min(b).min(c) - FACE_MARGIN, a.max(b).max(c) + FACE_MARGIN);
@@ -179,7 +183,27 @@ impl Marker<'_> {
     }
 }
 
+/// Kernel: marks the cells that some triangles pass through.
+struct MarkTriangles<'a> {
+    mesh: &'a Mesh,
+    lattice: &'a Lattice,
+    triangles: &'a [[u32; 3]],
+    marker: Marker<'a>,
+}
+
+impl Kernel for MarkTriangles<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(mut self) {
+        for &triangle in self.triangles {
+            passed_cells(&corners(self.mesh, triangle, self.lattice), |cell| self.marker.mark(cell));
+        }
+    }
+}
+
 /// Calls `each` for each cell that a triangle passes through, and for some cells beside these.
+#[inline(always)]
 fn passed_cells(corners: &[DVec3; 3], mut each: impl FnMut(IVec3)) {
     let [a, b, c] = *corners;
     let [first, last] = cells_of_box(corners);
