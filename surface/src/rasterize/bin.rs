@@ -94,17 +94,21 @@ impl ParticleBins {
             Topology::new(leaves.iter().map(|&leaf| culling.occupied().origins()[leaf as usize]).collect());
         let (particle_count, dropped_count) = (occupancy.particle_count(), occupancy.dropped_count());
         let outlier_position = occupancy.outlier_position();
-        let deep = if occupancy.has_shapes { culling.deep_leaves().collect() } else { FxHashSet::default() };
         Ok(ParticleBins {
             topology,
             starts,
             positions,
             shapes,
-            deep,
+            deep: FxHashSet::default(),
             particle_count,
             dropped_count,
             outlier_position,
         })
+    }
+
+    /// Records the deep leaves.
+    pub(super) fn record_deep(&mut self, culling: &Culling) {
+        self.deep = culling.deep_leaves().collect();
     }
 
     /// The particles of a leaf, in voxels relative to its origin.

@@ -49,6 +49,8 @@
 //!
 //! With kernels, a voxel is certainly inside if all voxels within r_init of it, along the axes, are within r_init of a
 //! particle: the sum of kernels of such a body is far above the level. No particle in reach of a needed leaf is dropped.
+//! Voxels are often too small for that, since particles do not cover them. So the sum is then computed at a few points
+//! of each near leaf, and leaves where it is [high](super::kernels::High), as in all leaves around, become deep.
 //!
 //! Validation uses the kept particles to find the inside where φ is not stored. If r_init is above √3, each
 //! kept particle alone shows that the voxels around it are inside; for a smaller r_init that does not hold,
@@ -57,13 +59,14 @@
 use std::borrow::Cow;
 
 use glam::IVec3;
+use rayon::iter::Either;
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
 use super::occupancy::{Occupancy, Octants, ROUND};
 use super::{Radii, RasterParams, Regions, Start};
 use crate::cancel::checkpoint;
-use crate::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_within};
+use crate::grid::{FACE_STEPS, LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_within};
 use crate::parallel::Loops as _;
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::CoordBox;
@@ -155,6 +158,36 @@ impl<'a> Culling<'a> {
     pub(super) fn deep_leaves(&self) -> impl Iterator<Item = IVec3> {
         let leaves = self.occupied.origins().iter().zip(&self.inside);
         leaves.filter(|(_, inside)| **inside == LeafMask::FULL).map(|(&origin, _)| origin)
+    }
+
+    /// Whether all leaves at the faces of a near leaf are near or deep.
+    pub(super) fn is_surrounded(&self, leaf: usize) -> bool {
+        let origin = self.near.origins()[leaf];
+        let mut faces = self.near.neighbors()[leaf].iter().zip(FACE_STEPS);
+        faces.all(|(&neighbor, step)| neighbor != NO_LEAF || self.is_deep(origin + step * LEAF_EDGE))
+    }
+
+    /// Makes the near leaves deep that are inside. `are_high` tells of each near leaf whether the sum of kernels is
+    /// [`High`](super::kernels::High) there.
+    pub(super) fn deepen(&mut self, are_high: &[bool], scene: &RasterParams) {
+        let is_high = |origin: IVec3| match self.near.find(origin) {
+            Some(leaf) => are_high[leaf],
+            None => self.is_deep(origin),
+        };
+        let is_inside = |origin: &IVec3| {
+            is_high(*origin)
+                && cube(|step| is_high(origin + step)) == [true; 27]
+                && self.occupied.find(*origin).is_some()
+                && !scene.is_at_obstacle(*origin)
+        };
+        let (inside, near): (Vec<IVec3>, Vec<IVec3>) =
+            self.near.origins().par_iter().halved().partition_map(|&origin| {
+                if is_inside(&origin) { Either::Left(origin) } else { Either::Right(origin) }
+            });
+        for leaf in inside.into_iter().filter_map(|origin| self.occupied.find(origin)) {
+            self.inside[leaf] = LeafMask::FULL;
+        }
+        self.near = Topology::new(near);
     }
 
     /// The voxels of a leaf that are in S_min and whose exact distance is not needed.

@@ -13,7 +13,7 @@ use super::bin::ParticleBins;
 use super::culling::Culling;
 use super::ellipsoid::{BallShape, EllipsoidShape, Primitives};
 use super::kernels::KernelShape;
-use super::{Radii, Start, keep, keep_in_place, sweep_count};
+use super::{Radii, RasterParams, Start, keep, keep_in_place, sweep_count};
 use crate::grid::{
     Field, LEAF_EDGE, LEAVES_PER_TASK, Leaf, LeafMask, NO_LEAF, ROW_COUNT, SetBits, Topology,
     leaf_steps_within,
@@ -71,6 +71,14 @@ impl<'a> DistanceSolver<'a> {
                     EllipsoidShape::new(ellipsoids[particle])
                 }))
             }
+        }
+    }
+
+    /// Makes the leaves deep that are in the interior of a body of kernels.
+    pub(super) fn deepen(&self, culling: &mut Culling, scene: &RasterParams) {
+        if let DistanceSolver::Kernels(primitives) = self {
+            let are_high = primitives.are_high(&culling.near, |leaf| culling.is_surrounded(leaf));
+            culling.deepen(&are_high, scene);
         }
     }
 

@@ -33,6 +33,7 @@ use rayon::prelude::*;
 
 use super::bin::ParticleBins;
 use super::distances::OUT_OF_REACH;
+use super::kernels::{High, KernelShape};
 use super::{EXACT_MARGIN, Radii};
 use crate::cancel::checkpoint;
 use crate::grid::{
@@ -41,6 +42,7 @@ use crate::grid::{
 use crate::parallel::Loops as _;
 use crate::particles::Ellipsoid;
 use crate::simd::{self, Kernel, Lanes, greatest};
+use crate::space::CoordBox;
 
 /// Voxels next to the surface are less deep than this, in voxels (usually their depth is at most 1).
 const DEEP: f32 = 1.25;
@@ -143,11 +145,11 @@ struct ClassLeaf {
 type BoxPacket = [[f32; 8]; 6];
 
 #[derive(Clone, Copy)]
-struct Primitive<F> {
+pub(super) struct Primitive<F> {
     /// In voxels from the origin of its leaf.
-    center: Vec3,
-    extents: Vec3,
-    shape: F,
+    pub(super) center: Vec3,
+    pub(super) extents: Vec3,
+    pub(super) shape: F,
 }
 
 impl<F: ParticleShape> Primitives<F> {
@@ -181,8 +183,8 @@ impl<F: ParticleShape> Primitives<F> {
         settled: impl Fn(IVec3) -> &'a LeafMask + Sync,
     ) {
         let of_leaf = |&origin: &IVec3| {
-            let (around, mut distances) = (self.around(origin), [Leaf::splat(0.0); 3]);
-            let (unions, settled) = (&self.unions, settled(origin));
+            let (unions, settled, mut distances) = (&self.unions, settled(origin), [Leaf::splat(0.0); 3]);
+            let around = if *settled == LeafMask::FULL { Vec::new() } else { self.around(origin) };
             simd::dispatch(Signed { distances: distances.each_mut(), around: &around, unions, settled });
             let [max, init, min] = distances;
             (max, (init, min))
@@ -217,6 +219,17 @@ impl<F: ParticleShape> Primitives<F> {
             }
         }
         around
+    }
+}
+
+impl Primitives<KernelShape> {
+    /// For each of these leaves, whether it is wanted and the sum of kernels is [`High`].
+    pub(super) fn are_high(&self, leaves: &Topology, is_wanted: impl Fn(usize) -> bool + Sync) -> Vec<bool> {
+        let is_high = |(leaf, &origin): (usize, &IVec3)| {
+            is_wanted(leaf) && simd::dispatch(High { around: &self.around(origin), unions: &self.unions })
+        };
+        let origins = leaves.origins().par_iter().enumerate();
+        origins.with_max_len(LEAVES_PER_TASK).map(is_high).collect()
     }
 }
 
@@ -286,11 +299,11 @@ fn boxes_of<F>(primitives: &[Primitive<F>]) -> BoxPacket {
 /// The particles of one leaf that can lower a value in another.
 pub(super) struct NearbyLeaf<'a, F> {
     /// From the other leaf to this one, in voxels.
-    step: Vec3,
-    boxes: &'a [BoxPacket],
+    pub(super) step: Vec3,
+    pub(super) boxes: &'a [BoxPacket],
     /// Primitive `8·i + k` has the box in lane `k` of packet `i`.
-    primitives: &'a [Primitive<F>],
-    shortest: f32,
+    pub(super) primitives: &'a [Primitive<F>],
+    pub(super) shortest: f32,
 }
 
 /// Kernel: computes the signed distances of a leaf to the three unions.
@@ -309,9 +322,10 @@ impl<F: ParticleShape> Kernel for Signed<'_, F> {
     fn run<V: Lanes>(self) {
         let Signed { distances, around, unions, settled } = self;
         let mut found = F::start::<V>(unions, settled, around);
+        let needed = settled.complement().bounding_box();
         for leaf in around {
             for (eight, boxes) in leaf.boxes.iter().enumerate() {
-                for lane in SetBits(near_bits::<V>(boxes, leaf.step)) {
+                for lane in SetBits(near_bits::<V>(boxes, leaf.step, &needed)) {
                     let Primitive { center, extents, shape } = &leaf.primitives[8 * eight + lane];
                     shape.add::<V>(unions, &mut found, center + leaf.step, *extents);
                 }
@@ -321,20 +335,24 @@ impl<F: ParticleShape> Kernel for Signed<'_, F> {
     }
 }
 
-/// Bit mask of the eight boxes, moved by a step, that touch the box of a leaf's voxels.
+/// The voxels of a leaf.
+pub(super) const LEAF: CoordBox = CoordBox { min: IVec3::ZERO, max: IVec3::splat(LEAF_EDGE - 1) };
+
+/// Bit mask of the eight boxes, moved by a step, that touch a box of voxels.
 #[inline(always)]
-fn near_bits<V: Lanes>(boxes: &BoxPacket, step: Vec3) -> u8 {
-    let x = touches::<V>(&boxes[0], step.x, &boxes[3]);
-    let y = touches::<V>(&boxes[1], step.y, &boxes[4]);
-    let z = touches::<V>(&boxes[2], step.z, &boxes[5]);
+pub(super) fn near_bits<V: Lanes>(boxes: &BoxPacket, step: Vec3, voxels: &CoordBox) -> u8 {
+    let (low, high) = (voxels.min.as_vec3(), voxels.max.as_vec3());
+    let x = touches::<V>(&boxes[0], step.x, &boxes[3], [low.x, high.x]);
+    let y = touches::<V>(&boxes[1], step.y, &boxes[4], [low.y, high.y]);
+    let z = touches::<V>(&boxes[2], step.z, &boxes[5], [low.z, high.z]);
     x & y & z
 }
 
 #[inline(always)]
-fn touches<V: Lanes>(centers: &[f32; 8], step: f32, extents: &[f32; 8]) -> u8 {
+fn touches<V: Lanes>(centers: &[f32; 8], step: f32, extents: &[f32; 8], [low, high]: [f32; 2]) -> u8 {
     let along = V::load(centers).add(V::splat(step));
-    let beyond_leaf = along.sub(along.max(V::splat(0.0)).min(V::splat((LEAF_EDGE - 1) as f32)));
-    V::bits(V::not(V::load(extents).lt(beyond_leaf.abs())))
+    let beyond = along.sub(along.max(V::splat(low)).min(V::splat(high)));
+    V::bits(V::not(V::load(extents).lt(beyond.abs())))
 }
 
 /// Range of a leaf's voxels along an axis that lie within `extent` of `center`.

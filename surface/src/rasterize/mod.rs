@@ -317,12 +317,17 @@ fn measure(
     scene: &RasterParams,
     regions: &Regions,
 ) -> Result<NearDistances, Unread> {
-    let culling = Culling::new(occupancy, scene, regions);
-    let bins = ParticleBins::new(source, &scene.lattice, occupancy, &culling, regions)?;
+    let mut culling = Culling::new(occupancy, scene, regions);
+    let mut bins = ParticleBins::new(source, &scene.lattice, occupancy, &culling, regions)?;
     let solver = DistanceSolver::new(&bins, scene.radii);
+    solver.deepen(&mut culling, scene);
     let near = solver.distances(&culling.near, &culling);
     let topology = Topology::new(leaves_near_surface(&culling, &near, scene, regions));
     let distances = solver.extended((&culling.near, near), &topology, &culling);
+    drop(solver);
+    if occupancy.has_shapes {
+        bins.record_deep(&culling);
+    }
     Ok(NearDistances { bins, topology, distances })
 }
 
