@@ -179,6 +179,15 @@ pub(super) struct High<'a> {
 /// F at the points. In an even body it is from 0.9 to 1.1.
 const HIGH: f32 = 0.85;
 
+/// The number of points across a leaf along x and y that kernels with this reach need, with one for each voxel along
+/// z; `None` if that is more than there are voxels.
+pub(super) fn points_across(reach: f32) -> Option<usize> {
+    // F grows from the level, 0.49, to `HIGH` within this distance.
+    let apart_squared = 2.0 / 15.0 * (HIGH / 0.49 - 1.0) * reach * reach - 0.25;
+    let count = (LEAF_EDGE as f32 / (2.0 * apart_squared.max(0.0)).sqrt()).ceil();
+    (count <= LEAF_EDGE as f32).then_some(count as usize)
+}
+
 impl Kernel for High<'_> {
     type Output = bool;
 
@@ -186,14 +195,8 @@ impl Kernel for High<'_> {
     fn run<V: Lanes>(self) -> bool {
         let shortest = self.around.iter().map(|leaf| leaf.shortest).fold(f32::INFINITY, f32::min);
         let reach = self.unions.radii[0];
-        // From the level, 0.49, to `HIGH`, with a point for each voxel along z.
-        let apart_squared = 2.0 / 15.0 * (HIGH / 0.49 - 1.0) * (reach * shortest).powi(2) - 0.25;
-        let count = (LEAF_EDGE as f32 / (2.0 * apart_squared.max(0.0)).sqrt()).ceil();
-        let step = LEAF_EDGE as f32 / count;
-        let count = count as usize;
-        if count > LEAF_EDGE as usize {
-            return false;
-        }
+        let Some(count) = points_across(reach * shortest) else { return false };
+        let step = LEAF_EDGE as f32 / count as f32;
         let (per_reach, reach_squared) = (1.0 / reach, V::splat(reach * reach));
         let place = |index: usize| step * (index as f32 + 0.5) - 0.5;
         let y_of_rows = V::load(&std::array::from_fn(place));

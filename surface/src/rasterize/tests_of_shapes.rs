@@ -7,7 +7,7 @@ use rustc_hash::FxHashMap;
 use super::tests::{LATTICE, LeafBits, RADII, assembled, jittered, scenes, swept, values, values_of};
 use super::*;
 use crate::grid::{offset_in_leaf, voxel_in_leaf};
-use crate::particles::{Ellipsoid, OwnedPositions, ParticleCloud, Shapes, erased};
+use crate::particles::{Ellipsoid, LEVEL_AT, OwnedPositions, ParticleCloud, Shapes, erased};
 
 fn cloud(positions: &[[f32; 3]], shapes: Shapes) -> ParticleCloud {
     ParticleCloud { shapes, ..ParticleCloud::from(OwnedPositions::F32(positions.to_vec())) }
@@ -309,4 +309,44 @@ fn value_of(shapes: &Shapes, particle: usize, apart: Vec3, radii: [f32; 3]) -> [
             })
         }
     }
+}
+
+/// Bodies with a bubble of each size in the middle: the sign of φ is that of a plain sum of kernels at every voxel near the
+/// bubble, and the interior of the body around it is not stored.
+#[test]
+fn interiors_of_bodies_are_skipped_and_no_bubble_is() {
+    let (spacing, reach) = (3.125f32, 8.2f32);
+    let kernel = |q_squared: f32| ((1.0 - 0.8 * q_squared).max(0.0).powi(4) - 0.0016).max(0.0);
+    // So that the mean of the sum is 1.
+    let integral: f32 =
+        (0..1000).map(|i| (i as f32 + 0.5) / 1000.0).map(|q| q * q * kernel(q * q) / 1000.0).sum();
+    let weight = spacing.powi(3) / (4.0 * std::f32::consts::PI * reach.powi(3) * integral);
+    let level = kernel(LEVEL_AT * LEVEL_AT);
+    let radii = Radii { start: Start::Kernels, room: 1.0, ..Radii::uniform(1.0, LEVEL_AT * reach, reach) };
+    let mut bubble_count = 0;
+    for radius in [0.0, 1.0, 1.3, 1.4, 1.5, 1.6, 1.8, 2.2].map(|radius| radius * spacing) {
+        let positions = jittered(56, spacing, |position| position.length() >= radius);
+        let shapes = Shapes::Ellipsoids(vec![Ellipsoid { weight, ..Ellipsoid::ball(1.0) }; positions.len()]);
+        let Ok(fields) = rasterize(&cloud(&positions, shapes), &RasterParams::open(LATTICE, radii));
+        assert!(fields.bins.is_deep(IVec3::splat(16)), "radius {radius}");
+        assert!(fields.band.topology.find(IVec3::splat(16)).is_none(), "radius {radius}");
+        let near: Vec<Vec3> =
+            positions.iter().copied().map(Vec3::from).filter(|at| at.length() < 27.0).collect();
+        let mut has_bubble = false;
+        for index in 0..19 * 19 * 19 {
+            let voxel = IVec3::new(index / 361, index / 19 % 19, index % 19) - 9;
+            let squared = || near.iter().map(|at| at.distance_squared(voxel.as_vec3()));
+            let sum: f32 = squared().map(|squared| weight * kernel(squared / (reach * reach))).sum();
+            let is_outside = sum < level && squared().all(|squared| squared > 1.0);
+            has_bubble |= is_outside;
+            if (sum - level).abs() > 1e-3 {
+                let found = fields.band.topology.find_voxel(voxel);
+                let phi =
+                    found.map_or(-1.0, |(leaf, at)| fields.band.phi.leaves[leaf].values[offset_in_leaf(at)]);
+                assert_eq!(phi > 0.0, is_outside, "radius {radius}, {voxel}: {phi}, {sum}");
+            }
+        }
+        bubble_count += usize::from(has_bubble);
+    }
+    assert!((2..7).contains(&bubble_count), "{bubble_count}");
 }
