@@ -66,7 +66,7 @@ use rustc_hash::FxHashSet;
 use super::occupancy::{Occupancy, Octants, ROUND};
 use super::{Radii, RasterParams, Regions, Start};
 use crate::cancel::checkpoint;
-use crate::grid::{FACE_STEPS, LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_within};
+use crate::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_within};
 use crate::parallel::Loops as _;
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::CoordBox;
@@ -160,11 +160,10 @@ impl<'a> Culling<'a> {
         leaves.filter(|(_, inside)| **inside == LeafMask::FULL).map(|(&origin, _)| origin)
     }
 
-    /// Whether all leaves at the faces of a near leaf are near or deep.
+    /// Whether all leaves around a near leaf are near or deep.
     pub(super) fn is_surrounded(&self, leaf: usize) -> bool {
         let origin = self.near.origins()[leaf];
-        let mut faces = self.near.neighbors()[leaf].iter().zip(FACE_STEPS);
-        faces.all(|(&neighbor, step)| neighbor != NO_LEAF || self.is_deep(origin + step * LEAF_EDGE))
+        cube(|step| self.near.find(origin + step).is_some() || self.is_deep(origin + step)) == [true; 27]
     }
 
     /// Makes the near leaves deep that are inside. `are_high` tells of each near leaf whether the sum of kernels is
