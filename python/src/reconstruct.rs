@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use meniscus::pipeline::{InputWarning, ScratchFile, Warning, not_followed};
+use meniscus::pipeline::{self, ScratchFile, not_followed};
 use meniscus::surface::options::Preset;
 use meniscus::surface::reconstruction::FrameSurface;
 use meniscus::surface::spacing::estimate_spacing;
@@ -179,8 +179,7 @@ pub(crate) fn average(
     let mut warnings = smoothed.warnings.clone();
     warnings.extend(emptiness(&surface));
     if with_particles(&others).next().is_some() {
-        let warning = not_followed(&surface.report.temporal).map(Warning::Input);
-        warnings.extend(warning.map(|warning| warning.to_string()));
+        warnings.extend(not_followed(&surface.report.temporal).map(|warning| warning.sentence));
     }
     Ok(Surface::new(surface, Arc::new(settings), smoothed.obstacles.clone(), smoothed.prepared, warnings))
 }
@@ -251,18 +250,14 @@ fn preset_warning(
         None => estimate_spacing(positions.clone()),
     };
     let irregularity = estimate.and_then(|estimate| estimate.irregularity);
-    let suitable = Preset::for_fluid(irregularity);
-    match irregularity {
-        Some(irregularity) if !options.is_auto() && suitable != Preset::default() => {
-            let warning = Warning::Input(InputWarning::Irregular { irregularity, suitable });
-            let fluid = "or give `preset=\"fluid\"` if splashes matter more";
-            Some(format!("{warning}; use `preset=\"{suitable}\"`, {fluid}"))
-        }
-        None if options.is_auto() => {
-            Some(Warning::Input(InputWarning::PresetNotMeasured { used: suitable }).to_string())
-        }
-        _ => None,
+    let warning = pipeline::preset_warning(options, irregularity)?;
+    if warning.remedy.is_none() {
+        return Some(warning.sentence);
     }
+    let suitable = Preset::for_fluid(irregularity);
+    Some(format!(
+        "{warning}; use `preset=\"{suitable}\"`, or give `preset=\"fluid\"` if splashes matter more"
+    ))
 }
 
 /// # Errors

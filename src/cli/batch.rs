@@ -10,7 +10,7 @@ use rayon::ThreadPool;
 
 use crate::pipeline::{
     self, Frame, FrameFile, FrameReport, Job, OnError, Outcome, OutputFormat, OutputOptions, PipelineOptions,
-    ReportedWarnings, RunRecord, Scope, SequenceRecord, SequenceSource, UsdStageReport, UsdStageSequence,
+    ReportedWarnings, RunRecord, SequenceRecord, SequenceSource, UsdStageReport, UsdStageSequence,
     next_stage_update, output_path, shown, stage_frame_count, write_stage,
 };
 
@@ -18,7 +18,7 @@ use super::CommandOutcome;
 use super::args::ConvertArgs;
 use super::console::{Console, ProgressDisplay};
 use super::machine::{memory_bytes, thread_pool};
-use super::wording::{FRAMES_IN_VIEW, described, failed_validation, pluralize, velocity_hint, with_remedy};
+use super::wording::{FRAMES_IN_VIEW, described, failed_validation, pluralize, velocity_hint};
 
 /// A frame of a batch.
 struct BatchItem {
@@ -239,8 +239,8 @@ impl<'a> Batch<'a> {
         self.outcomes.broken_count += usize::from(has_surface && !report.keeps_guarantees());
         let printed = self.outcomes.printed.entry(sequence_index).or_default();
         for warning in report.all_warnings() {
-            if warning.scope() == Scope::Frame || printed.is_new(&warning) {
-                console.warning(format_args!("{}: {}", shown(&frame.input), with_remedy(&warning)));
+            if printed.is_new(&warning) {
+                console.warning(format_args!("{}: {}", shown(&frame.input), warning.advice()));
             } else {
                 self.outcomes.suppressed_count += 1;
             }

@@ -15,10 +15,10 @@ use meniscus_formats::gltf::{CameraData, read_camera};
 use meniscus_formats::{UpAxis, read_provenance};
 
 use crate::pipeline::{
-    CAMERA, CameraChoice, EMPTY_BOUNDS, FrameError, FrameFile, InputWarning, LevelSetFile, LoadedFrame,
-    MeasuredSpacing, MeshFile, ObstacleFiles, OutputFormat, OutputOptions, PictureOptions, PictureScene,
-    Reconstruction, Sequence, Stage, Viewpoint, Warning, files_in, is_level_set, is_mesh, is_sequence_file,
-    open_regular, picture_provenance, read_regular, sequence_bounds, up_of, velocities,
+    CAMERA, CameraChoice, EMPTY_BOUNDS, FrameError, FrameFile, LevelSetFile, LoadedFrame, MeasuredSpacing,
+    MeshFile, ObstacleFiles, OutputFormat, OutputOptions, PictureOptions, PictureScene, Reconstruction,
+    Sequence, Stage, Viewpoint, Warning, files_in, is_level_set, is_mesh, is_sequence_file, open_regular,
+    picture_provenance, read_regular, sequence_bounds, up_of, velocities,
 };
 use crate::render::{Picture, render_particles, side_by_side};
 use crate::surface::grid::{LeafMask, negative_masks};
@@ -33,7 +33,7 @@ use super::inputs::{MatchedInputs, find_with_others};
 use super::machine::memory_bytes;
 use super::quantities::PictureSize;
 use super::settings::{ignored, measure_if_needed, obstacle_files, settings_of, warn_of};
-use super::wording::{pluralize, with_remedy};
+use super::wording::pluralize;
 
 /// Settings and resources shared by all pictures of a command.
 pub(super) struct RenderSession<'a> {
@@ -222,9 +222,9 @@ impl<'a> RenderSession<'a> {
             RenderSource::Reconstructed(reconstructed) => &reconstructed.made.warnings,
         };
         let is_requested = self.method.options.0.attributes.is_some();
-        let is_velocity = |warning: &Warning| matches!(warning, Warning::Input(InputWarning::MissingAttribute { name, .. }) if name == VELOCITY);
+        let is_velocity = |warning: &Warning| warning.subject == VELOCITY;
         for warning in warnings.iter().filter(|warning| is_requested || !is_velocity(warning)) {
-            console.warning(format_args!("{}: {}", file.path.display(), with_remedy(warning)));
+            console.warning(format_args!("{}: {}", file.path.display(), warning.advice()));
         }
     }
 

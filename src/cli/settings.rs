@@ -24,7 +24,7 @@ use super::args::{FormatArgs, MethodArgs, OptionSet};
 use super::console::Console;
 use super::destination::folder_of;
 use super::inputs::{InputSelection, SelectedSequence, selected_files};
-use super::wording::{option_name, option_names, pluralize, significant, with_remedy};
+use super::wording::{option_name, option_names, pluralize, significant};
 
 /// The settings for a sequence of particles with this spacing.
 ///
@@ -81,8 +81,10 @@ pub(super) fn measure_if_needed(
         }
         (Err(none), None) => return Err(none),
     };
-    if let Some(warning) = preset_warning(choices, measured.as_ref()) {
-        warn(&with_remedy(&warning));
+    if let Some(warning) =
+        preset_warning(choices, measured.as_ref().and_then(|measured| measured.irregularity))
+    {
+        warn(&warning.advice());
     }
     Ok(measured)
 }

@@ -14,8 +14,9 @@ use glam::Vec3;
 use crate::surface::mesh::Mesh;
 use crate::surface::options::{Settings, Start};
 use crate::surface::report::ReconstructionReport;
+use crate::surface::words::{pluralize, significant};
 
-use crate::pipeline::warning::{SurfaceWarning, Warning};
+use crate::pipeline::warning::Warning;
 
 /// A warning about a surface that is empty, fragmented, full of holes, or a single blob.
 pub(crate) fn diagnose(mesh: &Mesh, report: &ReconstructionReport, settings: &Settings) -> Option<Warning> {
@@ -24,11 +25,11 @@ pub(crate) fn diagnose(mesh: &Mesh, report: &ReconstructionReport, settings: &Se
         Some(_) => None,
         None => misfit(mesh, report, settings.voxel_size),
     };
-    why_empty(report, settings).or_else(misfit).map(Warning::Surface)
+    why_empty(report, settings).or_else(misfit)
 }
 
 /// Why the surface of a frame with particles is empty.
-fn why_empty(report: &ReconstructionReport, settings: &Settings) -> Option<SurfaceWarning> {
+fn why_empty(report: &ReconstructionReport, settings: &Settings) -> Option<Warning> {
     let ReconstructionReport { edits, contact, .. } = report;
     if report.particle_count == 0 || report.mesh.vertex_count > 0 {
         return None;
@@ -37,26 +38,40 @@ fn why_empty(report: &ReconstructionReport, settings: &Settings) -> Option<Surfa
     // something is the cause, because a surface was left before it. So the steps are checked in reverse
     // order.
     Some(if edits.clipped_voxel_count > 0 {
-        SurfaceWarning::ClippedAway
+        Warning::new("the clip box contains no part of the surface: the mesh is empty")
     } else if edits.island_count > 0 {
-        SurfaceWarning::IslandsDropped
+        Warning::new(
+            "every piece of the surface was dropped because all have too few particles: the mesh is empty",
+        )
     } else if contact.particle_count > 0 || contact.displaced_voxel_count > 0 {
-        SurfaceWarning::InsideObstacles
+        Warning::new("all of the surface is inside obstacles: the mesh is empty")
     } else {
         // A ball that the grid resolves always has voxels inside, so the balls of this frame are smaller, or an
         // offset moved their surface inward.
         let Settings { voxel_size, start, radius_min, radius_max, offset, .. } = *settings;
         let is_resolved = radius_min >= start.resolved_voxels() * voxel_size;
         if start == Start::Kernels || offset < 0.0 && is_resolved {
-            return Some(SurfaceWarning::OffsetAway { offset });
+            let offset = significant(offset);
+            let warning = format!("the offset {offset} removed the whole surface: the mesh is empty");
+            return Some(Warning::new(warning).with_remedy(
+                "use an --offset nearer to 0, or larger particles (--blend, or --radius-min with --preset paper)",
+            ));
         }
-        SurfaceWarning::BetweenVoxels { voxel_size, radius_min, radius_max }
+        let [least, most] = [radius_min / voxel_size, radius_max / voxel_size].map(significant);
+        Warning::new(format!(
+            "all particles fall between the voxels: the mesh is empty; r_min and r_max are {least} and {most} voxels, and only \
+             an r_min of at least √3 voxels encloses every particle"
+        ))
+        .with_remedy(format!(
+            "use --radius-min {} or more",
+            significant(Start::Spheres.resolved_voxels() * voxel_size)
+        ))
     })
 }
 
 /// Detects voxels that do not fit the particles: most particles are isolated drops, the surface has too many
 /// holes or pieces, or all of it is one blob.
-fn misfit(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<SurfaceWarning> {
+fn misfit(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<Warning> {
     let ReconstructionReport { edits, contact, .. } = report;
     let particle_count = report.particle_count;
     let is_unedited = edits.clipped_voxel_count == 0
@@ -68,20 +83,32 @@ fn misfit(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option
     }
     let piece_count = report.mesh.component_count;
     if 2 * piece_count > particle_count {
-        return Some(SurfaceWarning::Spray { particle_count, piece_count, voxel_size });
+        let warning = Warning::new(format!(
+            "{particle_count} particles became {piece_count} pieces, most of one particle each: unless they really are spray, \
+             the voxel size {} is too small for the particle spacing",
+            significant(voxel_size)
+        ));
+        return Some(warning.with_remedy(CHECK_SPACING));
     }
     fragmented(mesh, report, voxel_size).or_else(|| {
-        let width_voxels = BLOB_VOXELS;
-        is_blob(mesh, report, voxel_size).then_some(SurfaceWarning::Blob {
-            particle_count,
-            width_voxels,
-            voxel_size,
+        is_blob(mesh, report, voxel_size).then(|| {
+            Warning::new(format!(
+                "all of the {particle_count} particles are within {BLOB_VOXELS} voxels: the voxel size {} is too large for them",
+                significant(voxel_size)
+            ))
+            .with_remedy(CHECK_SPACING)
         })
     })
 }
 
+const CHECK_SPACING: &str =
+    "check --spacing and --voxel-size, or leave them out: then the spacing is measured";
+
+const CLOSE_HOLES: &str = "check --spacing, --voxel-size and --neighbor-radius, or leave them out; a larger --blend, such as \
+                           2.4d, closes more of them, and with --preset paper --radius-min 0.87d";
+
 /// The warning about a surface whose spheres seem not to overlap: it has too many holes or pieces.
-fn fragmented(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<SurfaceWarning> {
+fn fragmented(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Option<Warning> {
     let (particle_count, measures) = (report.particle_count, &report.mesh);
     let few_pieces = particle_count / HOLED_ONE_IN;
     let few_holes = few_pieces.max(FEW_HOLES);
@@ -97,13 +124,26 @@ fn fragmented(mesh: &Mesh, report: &ReconstructionReport, voxel_size: f64) -> Op
     let hollow_count = volumes.iter().filter(|volume| **volume < 0.0).count();
     let hole_count = hollow_count + handle_count;
     if hole_count > few_holes {
-        return Some(SurfaceWarning::Holes { particle_count, hole_count, voxel_size });
+        let warning = Warning::new(format!(
+            "the surface of {particle_count} particles has {}: unless the fluid really has them, the voxel size {} or --blend \
+             is too small for the particle spacing",
+            pluralize(hole_count, "hole"),
+            significant(voxel_size)
+        ));
+        return Some(warning.with_remedy(CLOSE_HOLES));
     }
     let filled = || volumes.iter().copied().filter(|volume| *volume > 0.0);
     let piece_count = filled().count();
     let is_torn = piece_count > particle_count / PIECES_ONE_IN
         && 2.0 * filled().fold(0.0, f64::max) < filled().sum::<f64>();
-    is_torn.then_some(SurfaceWarning::Fragmented { particle_count, piece_count, voxel_size })
+    is_torn.then(|| {
+        Warning::new(format!(
+            "{particle_count} particles became {piece_count} pieces, none with half of the volume: unless they really are \
+             spray, the voxel size {} or the blend is too small for the particle spacing",
+            significant(voxel_size)
+        ))
+        .with_remedy(CLOSE_HOLES)
+    })
 }
 
 /// Whether all particles are in one blob that is hardly larger than the ball of a single particle.

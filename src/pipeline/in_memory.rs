@@ -245,11 +245,12 @@ pub fn obstacle_warnings(
     particles: &Positions<'_>,
     settings: &Settings,
 ) -> Vec<String> {
-    let of_one = |(name, obstacle): &(&Path, &Obstacle)| {
-        let path = name.to_path_buf();
-        let about = move |finding| Warning::Obstacle { path: path.clone(), finding };
-        findings_of(obstacle.sdf(), settings).into_iter().map(about)
-    };
+    let mut warnings = Vec::new();
+    for (name, obstacle) in obstacles {
+        let findings = findings_of(obstacle.sdf(), settings);
+        warnings.extend(findings.iter().map(|finding| Warning::of_obstacle(name, finding)));
+    }
     let Ok(out_of_reach) = out_of_reach(obstacles.iter().copied(), particles, settings);
-    obstacles.iter().flat_map(of_one).chain(out_of_reach).map(|warning| warning.to_string()).collect()
+    warnings.extend(out_of_reach);
+    warnings.into_iter().map(|warning| warning.sentence).collect()
 }

@@ -156,7 +156,4 @@ pub use target::outputs::{
 };
 pub use target::picture::{PictureOptions, PictureScene, encode_picture, up_of, velocities};
 pub use target::viewpoint::{CameraChoice, Viewpoint};
-pub use warning::{
-    FrameWarning, InputWarning, ObstacleFinding, ParticleSize, ReportedWarnings, Scope, SurfaceWarning,
-    Violation, Warning,
-};
+pub use warning::{ReportedWarnings, Warning};

@@ -10,7 +10,7 @@ use meniscus_formats::{AttributeRole, FileAttribute, MeshData, ParticleFrame, Va
 use serde::Serialize;
 
 use crate::cli::wording::{shortest, significant};
-use crate::pipeline::{InputWarning, MeasuredSpacing, SEQUENCE_POINTS, particles, shared_position};
+use crate::pipeline::{MeasuredSpacing, SEQUENCE_POINTS, Warning, particles, shared_position};
 use crate::surface::options::Preset;
 use crate::surface::particles::OwnedPositions;
 
@@ -80,7 +80,7 @@ impl ParticlesInfo {
     pub(super) fn of(
         frame: ParticleFrame,
         measured: Option<&MeasuredSpacing>,
-    ) -> (ParticlesInfo, Option<InputWarning>) {
+    ) -> (ParticlesInfo, Option<Warning>) {
         let attributes = attributes_of(&frame.attributes);
         let particles = particles(frame.positions);
         let Ok(shared) = shared_position(&particles);

@@ -26,7 +26,7 @@ use crate::cli::render_session::{
     RenderSession, catch_panic, picture_of_reconstruction, spacing_of, surface_name,
 };
 use crate::cli::settings::warn_of_siblings;
-use crate::cli::wording::{option_name, pluralize, with_causes, with_remedy};
+use crate::cli::wording::{option_name, pluralize, with_causes};
 use crate::cli::{CommandOutcome, DoneCounts};
 use crate::pipeline::{
     AttributeRequest, CameraChoice, EMPTY_BOUNDS, FrameFile, LoadedFrame, OutputFormat, Reconstruction,
@@ -275,10 +275,10 @@ impl<'a> Tuning<'a> {
             counts.add(rendered.is_ok());
             let content = match rendered {
                 Ok((made, settings, picture)) => {
-                    let of_settings = settings.warnings().into_iter().map(Warning::Sentence);
+                    let of_settings = settings.warnings().into_iter().map(Warning::new);
                     for warning in of_settings.chain(made.warnings.iter().cloned()) {
                         if reported.is_new(&warning) {
-                            console.warning(format_args!("cell {number}: {}", with_remedy(&warning)));
+                            console.warning(format_args!("cell {number}: {}", warning.advice()));
                         }
                     }
                     let triangles = pluralize(made.surface.report.mesh.triangle_count, "triangle");

@@ -18,7 +18,7 @@ use super::steps::{IndexPolicy, file_of, frame_name};
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::json::hex;
 use crate::pipeline::files::stamp::FileStamp;
-use crate::pipeline::warning::{FrameWarning, InputWarning, Warning};
+use crate::pipeline::warning::Warning;
 use crate::surface::options::{FrameReach, Settings};
 use crate::surface::temporal::TemporalReport;
 use crate::surface::words::pluralize;
@@ -331,13 +331,19 @@ pub(crate) fn find_around(
     let (reach, Settings { temporal, rest, .. }) = (frame.settings.frame_reach(), &*frame.settings);
     let needs_number = *temporal > 0 || reach.has_history() || frame.settings.computes_velocities();
     if needs_number && frame.number.is_none() {
-        warnings.push(Warning::Input(InputWarning::NotNumbered));
+        warnings.push(Warning::new(
+            "the frame depends on no others, although an option wants that: its name has no frame number; times in names do \
+             not count",
+        ));
     }
     if let (Some(rest), Some(number)) = (rest, frame.number) {
         let first = i64::from(rest.first);
         let is_wanted = first < number && rest.at(number).first() == first;
         if is_wanted && !frame.around.iter().any(|around| around.number == first) {
-            warnings.push(Warning::Input(InputWarning::ReferenceMissing { number: rest.first }));
+            warnings.push(Warning::new(format!(
+                "frame {first}, which --rest names, is missing or there twice: particles have the position at which they \
+                 appeared after it"
+            )));
         }
     }
     let mut find = |around: &AroundFrame| {
@@ -353,19 +359,32 @@ pub(crate) fn find_around(
 
 /// The warning about a frame around that is left out because of this error.
 pub(crate) fn not_averaged(error: &FrameError) -> Warning {
-    Warning::Frame(FrameWarning::NotAveraged { why: error.to_string() })
+    Warning::of_frame(format!(
+        "one of the frames around it, on which the surface depends, is left out: {error}"
+    ))
 }
 
 /// Recorded of a frame whose obstacles cannot be found.
 pub(crate) const MISSING_OBSTACLES: &str = "missing";
 
 /// A warning if a surface was not averaged, or hardly, although there are frames around it.
-pub fn not_followed(report: &TemporalReport) -> Option<InputWarning> {
+pub fn not_followed(report: &TemporalReport) -> Option<Warning> {
     match report.confidence {
-        _ if report.frame_count == 0 => Some(InputWarning::NotFollowed),
+        _ if report.frame_count == 0 => {
+            let warning = Warning::new(
+                "the surface is not averaged with the frames around it: the particles have no ids of their own, and no \
+                 velocities with a time step, by which they could be followed",
+            );
+            Some(warning.with_remedy("write `id` with the particles, or `velocity`, and give --time-step"))
+        }
         // There is no surface.
         _ if report.voxel_count == 0 => None,
-        confidence if confidence < CONFIDENCE_MIN => Some(InputWarning::HardlyFollowed { confidence }),
+        confidence if confidence < CONFIDENCE_MIN => Some(Warning::new(format!(
+            "the surface is hardly averaged with the frames around it: only {} % of their weight was used, because few of \
+             its particles could be followed, or they move irregularly; check the ids, or the unit and the time step of the \
+             velocities",
+            (100.0 * confidence).round()
+        ))),
         _ => None,
     }
 }

@@ -11,7 +11,7 @@ use crate::surface::options::{
 };
 use crate::surface::particles::{Attribute, AttributeValues, Role, coordinates, find_attribute, ids_of};
 
-use crate::pipeline::warning::{InputWarning, Warning};
+use crate::pipeline::warning::{COMPUTED_VELOCITIES, Warning};
 
 use super::frame::Frame;
 
@@ -226,9 +226,14 @@ impl AttributeRequest {
                 || computed.iter().any(|computed| name.eq_ignore_ascii_case(computed.name()))
         };
         for name in named.iter().filter(|name| !is_known(name)) {
-            let available = all.iter().map(|attribute| attribute.name.clone()).collect();
-            let warning = InputWarning::MissingAttribute { name: name.clone(), available };
-            warnings.push(Warning::Input(warning));
+            let available: Vec<&str> = all.iter().map(|attribute| &*attribute.name).collect();
+            let available = if available.is_empty() { "none".to_owned() } else { available.join(", ") };
+            let warning = Warning::new(format!(
+                "the particles have no attribute `{name}` for the surface; available: {available}"
+            ));
+            let is_velocity = Role::Velocity.has_name(name);
+            let remedy = is_velocity.then(|| COMPUTED_VELOCITIES.to_owned());
+            warnings.push(Warning { remedy, ..warning.about(name) });
         }
         // If a file has both `v` and `velocity`, `--attributes v` means the one with exactly that name.
         let has_own = |name: &String| all.iter().any(|attribute| attribute.name.eq_ignore_ascii_case(name));
@@ -259,7 +264,9 @@ impl AttributeRequest {
         }
         if !self.computes_velocities && find_attribute(&kept, "velocity", 3).is_none() {
             for attribute in computed.iter().filter(|computed| computed.needs_velocities()) {
-                warnings.push(Warning::Input(InputWarning::NotComputed { name: attribute.name() }));
+                let name = attribute.name();
+                let sentence = format!("`{name}` is not computed: the particles have no velocities");
+                warnings.push(Warning::new(sentence).about(name).with_remedy(COMPUTED_VELOCITIES));
             }
         }
         if let Some(RequiredAttribute { option, .. }) = self.needed.iter().find(|needed| needed.is_id)

@@ -7,7 +7,8 @@ use meniscus_formats::{AttributeRole, FileAttribute, FilePositions, ParticleFram
 use crate::surface::particles::{Attribute, ParticleFilter, coordinate, coordinates};
 
 use super::attributes::{attribute, header};
-use crate::pipeline::warning::{InputWarning, ParticleSize, Warning};
+use crate::pipeline::warning::Warning;
+use crate::surface::words::{pluralize, significant};
 
 /// Keeps the particles of a frame that meet the condition. Returns a warning if none of them does.
 ///
@@ -51,8 +52,10 @@ pub(super) fn none_chosen(
     chosen_count: usize,
 ) -> Option<Warning> {
     let is_none = chosen_count == 0 && particle_count > 0;
-    let condition = filter.to_string();
-    is_none.then_some(Warning::Input(InputWarning::NoneChosen { condition, particle_count }))
+    is_none.then(|| {
+        let particles = pluralize(particle_count, "particle");
+        Warning::new(format!("none of the {particles} meets the condition \"{filter}\": the frame is empty"))
+    })
 }
 
 /// A warning if the attributes of these parts of a frame show that its particles are of several kinds, such
@@ -71,9 +74,15 @@ pub(super) fn several_kinds<'a>(parts: impl Iterator<Item = &'a [FileAttribute]>
         // Integers in the order of their values.
         values.sort_by_key(|value| (value.parse::<i64>().ok(), value.clone()));
         values.dedup();
-        let attribute = first[index].name.clone();
-        let is_kind_count = (2..=KIND_COUNT_MAX).contains(&values.len());
-        is_kind_count.then_some(Warning::Input(InputWarning::SeveralKinds { attribute, values }))
+        let (attribute, count) = (&first[index].name, values.len());
+        (2..=KIND_COUNT_MAX).contains(&count).then(|| {
+            Warning::new(format!(
+                "the attribute `{attribute}` has {count} values ({}), and particles with any of them become one surface",
+                values.join(", ")
+            ))
+            .about(attribute)
+            .with_remedy(format!("choose some with --where, such as --where '{attribute} == VALUE'"))
+        })
     })
 }
 
@@ -90,9 +99,23 @@ pub(super) fn various_sizes<'a>(parts: impl Iterator<Item = &'a [FileAttribute]>
                 (smallest, largest) = (smallest.min(value.into()), largest.max(value.into()));
             }
         }
-        let attribute = name.filter(|_| largest > size.ratio_min() * smallest)?.clone();
-        Some(Warning::Input(InputWarning::VariousSizes { size, attribute, smallest, largest }))
+        let attribute = name.filter(|_| largest > size.ratio_min() * smallest)?;
+        let [smallest, largest] = [smallest, largest].map(significant);
+        let warning = Warning::new(format!(
+            "the particles have {} from {smallest} to {largest} (`{attribute}`), which are not used",
+            size.noun()
+        ));
+        Some(warning.with_remedy(size.remedy(attribute)))
     })
+}
+
+/// What an attribute says of the size of particles.
+#[derive(Clone, Copy)]
+enum ParticleSize {
+    Radius,
+    /// The reach of their kernels in the simulation.
+    SmoothingLength,
+    Mass,
 }
 
 impl ParticleSize {
@@ -108,6 +131,26 @@ impl ParticleSize {
             ParticleSize::Mass => &["m", "mass", "masses"],
         };
         attribute.arity == 1 && names.iter().any(|name| attribute.name.eq_ignore_ascii_case(name))
+    }
+
+    fn noun(self) -> &'static str {
+        match self {
+            ParticleSize::Radius => "radii",
+            ParticleSize::SmoothingLength => "smoothing lengths",
+            ParticleSize::Mass => "masses",
+        }
+    }
+
+    fn remedy(self, attribute: &str) -> String {
+        match self {
+            ParticleSize::Radius => format!("--radius-attribute {attribute} uses them"),
+            ParticleSize::SmoothingLength => {
+                format!(
+                    "use --radius-attribute {attribute}, with the radius of a particle over it as --radius-scale"
+                )
+            }
+            ParticleSize::Mass => "write their radii, too, and name them with --radius-attribute".to_owned(),
+        }
     }
 
     /// From this ratio of the largest to the smallest on, particles are meant to have different sizes: smoothing lengths
@@ -200,8 +243,8 @@ mod tests {
         assert_eq!(keep_chosen(&mut right, Some(&condition("x > 1 and z <= 2"))), Ok(None));
         assert_eq!(right.positions, FilePositions::F32(vec![[2.0; 3]]));
         let none = keep_chosen(&mut given.clone(), Some(&condition("phase == 7")));
-        let expected = InputWarning::NoneChosen { condition: "phase == 7".to_owned(), particle_count: 4 };
-        assert_eq!(none, Ok(Some(Warning::Input(expected))));
+        let sentence = "none of the 4 particles meets the condition \"phase == 7\": the frame is empty";
+        assert_eq!(none, Ok(Some(Warning::new(sentence))));
         let missing = keep_chosen(&mut given.clone(), Some(&condition("mk == 7")));
         assert_eq!(
             missing.expect_err("missing"),

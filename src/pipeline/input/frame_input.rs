@@ -197,7 +197,7 @@ impl FileParticles {
             Some((filter, _)) => none_chosen(filter, self.batches.particle_count(), self.len()),
             None => several_kinds(attributes()),
         };
-        let of_file = self.batches.notes().iter().cloned().map(Warning::Sentence);
+        let of_file = self.batches.notes().iter().cloned().map(Warning::new);
         let about_sizes = if self.chosen.is_none() { various_sizes(attributes()) } else { None };
         Ok(of_file.chain(about_kinds).chain(about_sizes).collect())
     }

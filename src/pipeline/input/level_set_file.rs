@@ -21,7 +21,8 @@ use crate::pipeline::files::open::{open_regular, read_regular};
 use crate::pipeline::memory::reading_limits;
 use crate::pipeline::target::outputs::OutputOptions;
 use crate::pipeline::target::picture::PictureScene;
-use crate::pipeline::warning::{InputWarning, Warning};
+use crate::pipeline::warning::Warning;
+use crate::surface::words::pluralize;
 
 /// A level set that was read from a file.
 #[derive(Clone, Debug)]
@@ -73,7 +74,7 @@ impl LevelSetFile {
             let vectors = vdb::read_vectors(bytes, &VELOCITY_NAMES, &limits).map_err(fail)?;
             match vectors.map(|vectors| velocities(&vectors, &transform, &file.band)) {
                 Some(Ok(velocity)) => file.velocity = Some(velocity),
-                Some(Err(why)) => file.warnings.push(Warning::Input(InputWarning::VelocitiesNotShown(why))),
+                Some(Err(why)) => file.warnings.push(Warning::new(format!("velocities are ignored: {why}"))),
                 None => {}
             }
         }
@@ -179,7 +180,7 @@ const HEAD_BYTES: u64 = 8 << 10;
 pub(crate) fn other_grids(bytes: &[u8]) -> Option<Warning> {
     let grids = vdb::grids(bytes, &reading_limits()).unwrap_or_default();
     let count = grids.len().saturating_sub(1);
-    (count > 0).then_some(Warning::Input(InputWarning::OtherGrids { count }))
+    (count > 0).then(|| Warning::new(format!("ignored in the file: {}", pluralize(count, "other grid"))))
 }
 
 /// The usual names of velocity grids.
@@ -214,7 +215,7 @@ fn level_set(data: LevelSetData, hash: u128, rebuilt_leaf_count_max: usize) -> R
     let band = match rebuilt(&stored, rebuilt_leaf_count_max) {
         Ok(None) => stored_band(leaf_origins, leaves, voxel_size, half_width),
         Ok(Some((band, reason))) => {
-            warnings.push(Warning::Input(InputWarning::Rebuilt(reason)));
+            warnings.push(Warning::new(reason.to_string()));
             band
         }
         Err(TooManyLeaves) => {

@@ -34,7 +34,7 @@ use super::steps::{frame_name, step_of};
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::json::{path, text};
-use crate::pipeline::warning::{InputWarning, Warning};
+use crate::pipeline::warning::Warning;
 
 /// The maximum number of frames to try for the middle one, and for the last one.
 const TRIES_MAX: usize = 8;
@@ -85,17 +85,25 @@ pub fn measured_by(options: &MethodOptions) -> (&'static str, &'static str) {
 
 /// A warning about the preset for particles that were measured, or could not be: it does not suit them, or it
 /// could not be chosen by them.
-pub fn preset_warning(options: &MethodOptions, measured: Option<&MeasuredSpacing>) -> Option<Warning> {
-    let irregularity = measured.and_then(|measured| measured.irregularity);
+pub fn preset_warning(options: &MethodOptions, irregularity: Option<f64>) -> Option<Warning> {
     let suitable = Preset::for_fluid(irregularity);
-    let warning = match (options.preset, irregularity) {
+    match (options.preset, irregularity) {
         (None, Some(irregularity)) if !options.is_auto() && suitable != Preset::default() => {
-            InputWarning::Irregular { irregularity, suitable }
+            let warning = Warning::new(format!(
+                "the particles are spaced irregularly (irregularity {} %): the preset {suitable} makes pools and waves \
+                 calmer, but splashes thicker, than {}",
+                (100.0 * irregularity).round(),
+                Preset::default()
+            ));
+            Some(warning.with_remedy(format!(
+                "use --preset {suitable}, or give --preset fluid if splashes matter more"
+            )))
         }
-        (Some(Preset::Auto), None) => InputWarning::PresetNotMeasured { used: suitable },
-        _ => return None,
-    };
-    Some(Warning::Input(warning))
+        (Some(Preset::Auto), None) => Some(Warning::new(format!(
+            "too few particles are surrounded by others to measure how evenly they are spaced: the preset is {suitable}"
+        ))),
+        _ => None,
+    }
 }
 
 /// Why the spacing could not be measured.

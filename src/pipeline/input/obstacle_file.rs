@@ -24,7 +24,7 @@ use crate::pipeline::error::ObstacleError;
 use crate::pipeline::files::input_file::{read_start_unchanged, read_unchanged};
 use crate::pipeline::files::named_files::path_of_named;
 use crate::pipeline::files::stamp::FileStamp;
-use crate::pipeline::warning::ObstacleFinding;
+use crate::pipeline::warning::counted;
 
 /// Identifies the content of an obstacle file.
 #[derive(Clone)]
@@ -200,7 +200,7 @@ fn source_of(data: LevelSetData) -> SourceLevelSet {
 }
 
 /// The likely mistakes in an obstacle.
-pub(crate) fn findings_of(shape: &ObstacleSdf, settings: &Settings) -> Vec<ObstacleFinding> {
+pub(crate) fn findings_of(shape: &ObstacleSdf, settings: &Settings) -> Vec<String> {
     match shape {
         ObstacleSdf::Mesh(solid) => {
             let MeshFindings {
@@ -213,24 +213,38 @@ pub(crate) fn findings_of(shape: &ObstacleSdf, settings: &Settings) -> Vec<Obsta
                 sheet_count,
                 ..
             } = *solid.findings();
+            let open = if encloses_nothing {
+                NO_VOLUME
+            } else {
+                "the mesh has {}: its holes were closed approximately (where the winding number is 1/2); close them in the \
+                 model for an exact obstacle"
+            };
+            let sheets = "the mesh has {}, taken as solid behind the normals, as deep as it is wide: flip the normals if the \
+                          fluid is on that side, or give it a thickness";
+            let flipped = "flipped {} that faced inwards, or opposite to adjacent triangles";
+            let unchecked = "did not flip {} that may face inwards: the mesh has too many parts to detect cavities; correct \
+                             the normals in the model";
+            let invalid = "{} ignored: a vertex is not finite, or does not exist";
+            let flat = "no triangle has an area, so the obstacle has no effect";
             let findings = [
-                (sheet_count > 0).then_some(ObstacleFinding::Sheets { count: sheet_count }),
-                (open_edge_count > 0)
-                    .then_some(ObstacleFinding::Open { edge_count: open_edge_count, encloses_nothing }),
-                (flipped_count > 0).then_some(ObstacleFinding::Flipped { triangle_count: flipped_count }),
-                (unchecked_part_count > 0)
-                    .then_some(ObstacleFinding::PossiblyInverted { part_count: unchecked_part_count }),
-                (invalid_count > 0)
-                    .then_some(ObstacleFinding::InvalidTriangles { triangle_count: invalid_count }),
-                (triangle_count == 0).then_some(ObstacleFinding::Flat),
+                counted(sheet_count, "open sheet", sheets),
+                counted(open_edge_count, "open edge", open),
+                counted(flipped_count, "triangle", flipped),
+                counted(unchecked_part_count, "part", unchecked),
+                counted(invalid_count, "triangle", invalid),
+                (triangle_count == 0).then(|| flat.to_owned()),
             ];
             findings.into_iter().flatten().collect()
         }
         ObstacleSdf::Grid(sampled) => {
             let known_voxels = (sampled.band_width() - sampled.voxel_size()) / settings.voxel_size;
-            let rebuilt = sampled.rebuild_reason().map(ObstacleFinding::Rebuilt);
-            let narrow =
-                (known_voxels < KNOWN_VOXELS_MIN).then_some(ObstacleFinding::NarrowBand { known_voxels });
+            let rebuilt = sampled.rebuild_reason().map(|reason| reason.to_string());
+            let narrow = (known_voxels < KNOWN_VOXELS_MIN).then(|| {
+                format!(
+                    "its narrow band is only {known_voxels:.2} h wide, and its surface may be off by that much: write it with a \
+                     wider band"
+                )
+            });
             rebuilt.into_iter().chain(narrow).collect()
         }
     }
@@ -240,15 +254,17 @@ pub(crate) fn findings_of(shape: &ObstacleSdf, settings: &Settings) -> Vec<Obsta
 /// of the frame, it hardly shows where the surface is.
 const KNOWN_VOXELS_MIN: f64 = 1.0;
 
+const NO_VOLUME: &str = "the mesh has {} and encloses no volume: close it, or give it a thickness";
+
 /// Refuses an obstacle whose mesh encloses no volume.
 ///
 /// # Errors
 /// The finding.
-pub(super) fn require_volume(path: &Path, findings: &[ObstacleFinding]) -> Result<(), ObstacleError> {
-    let is_fatal =
-        |finding: &&ObstacleFinding| matches!(finding, ObstacleFinding::Open { encloses_nothing: true, .. });
-    match findings.iter().find(is_fatal) {
-        Some(finding) => Err(failed(path, Error::unsupported("", finding.to_string()))),
+pub(super) fn require_volume(path: &Path, shape: &ObstacleSdf) -> Result<(), ObstacleError> {
+    let ObstacleSdf::Mesh(solid) = shape else { return Ok(()) };
+    let MeshFindings { open_edge_count, encloses_nothing, .. } = *solid.findings();
+    match counted(open_edge_count, "open edge", NO_VOLUME).filter(|_| encloses_nothing) {
+        Some(finding) => Err(failed(path, Error::unsupported("", finding))),
         None => Ok(()),
     }
 }

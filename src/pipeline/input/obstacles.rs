@@ -213,10 +213,9 @@ impl ObstacleFiles {
                 }
                 ObstacleContent::Read(read) => {
                     let shape = parse(&path, read, memory_bytes.saturating_sub(all.all_bytes))?;
+                    require_volume(&path, &shape)?;
                     let findings = findings_of(&shape, settings);
-                    require_volume(&path, &findings)?;
-                    let about = |finding| Warning::Obstacle { path: path.clone(), finding };
-                    all.warnings.extend(findings.into_iter().map(about));
+                    all.warnings.extend(findings.iter().map(|finding| Warning::of_obstacle(&path, finding)));
                     let obstacle = Arc::new(Obstacle::new(shape, cache_bytes_max));
                     if self.paths.contains(&path) && !source.is_animated {
                         let loaded = LoadedObstacle { source, obstacle: Arc::clone(&obstacle) };

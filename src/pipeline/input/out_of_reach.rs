@@ -11,13 +11,15 @@
 
 use std::path::Path;
 
+use glam::DVec3;
+
 use crate::surface::obstacle::Obstacle;
 use crate::surface::options::{Anisotropy, RADIUS_MAX_VOXELS, Settings};
 use crate::surface::particles::ParticleSource;
 
 use super::position_doubts::box_of_all_particles;
 use crate::pipeline::target::outputs::VDB_HALF_WIDTH_VOXELS;
-use crate::pipeline::warning::{ObstacleFinding, Warning};
+use crate::pipeline::warning::Warning;
 
 /// A warning for each obstacle that is out of reach of all particles of a frame.
 ///
@@ -41,10 +43,24 @@ pub(crate) fn out_of_reach<'a, S: ParticleSource>(
             obstacle_box[0][axis] - reach <= particle_box[1][axis]
                 && particle_box[0][axis] <= obstacle_box[1][axis] + reach
         });
-        let finding = ObstacleFinding::OutOfReach { obstacle: obstacle_box, particles: particle_box };
-        (!is_near).then(|| Warning::Obstacle { path: path.to_owned(), finding })
+        (!is_near).then(|| {
+            let finding = format!(
+                "too far from the particles to have an effect: it spans {}, and the particles span {}; check its position, \
+                 unit of length and up axis",
+                box_text(obstacle_box),
+                box_text(particle_box)
+            );
+            Warning::of_obstacle(path, &finding)
+        })
     });
     Ok(warnings.collect())
+}
+
+/// A box with four digits for each coordinate.
+fn box_text(corners: [DVec3; 2]) -> String {
+    let short = |value: f64| format!("{value:.3e}").parse::<f64>().unwrap_or(value).to_string();
+    let [min, max] = corners.map(|corner| corner.to_array().map(short).join(", "));
+    format!("({min}) to ({max})")
 }
 
 /// The largest distance from a particle at which values of the level set are computed, in world units.

@@ -10,11 +10,12 @@ use rayon::prelude::*;
 use crate::surface::options::Settings;
 use crate::surface::particles::{ParticleSource, Positions};
 use crate::surface::space::joined;
-use crate::surface::spacing::{ROUNDING_SHARE_MAX, rounding_step};
+use crate::surface::spacing::{ROUNDING_REMEDY, ROUNDING_SHARE_MAX, rounding_step};
+use crate::surface::words::significant;
 
 use super::frame_input::FrameInput;
 use crate::pipeline::error::Cause;
-use crate::pipeline::warning::{InputWarning, Warning};
+use crate::pipeline::warning::Warning;
 
 /// Warnings about the positions. Reads some batches, and all of them if those are in a plane, have no finite position, or
 /// have positions that several particles share.
@@ -29,9 +30,13 @@ pub(crate) fn position_doubts(particles: &FrameInput, settings: &Settings) -> Re
     let first = particles.batch(0)?;
     let step = rounding_step(first.clone());
     if step > ROUNDING_SHARE_MAX * settings.spacing {
-        warnings.push(Warning::Input(InputWarning::RoundedParticles { step, spacing: settings.spacing }));
+        let [step, spacing] = [step, settings.spacing].map(significant);
+        warnings.push(Warning::new(format!(
+            "positions are rounded to steps of {step}, as 32-bit numbers so far from the origin are, and the particle spacing \
+             is {spacing}: {ROUNDING_REMEDY}"
+        )));
     }
-    warnings.extend(shared_position(particles)?.map(Warning::Input));
+    warnings.extend(shared_position(particles)?);
     let of_first = box_of_batch(&first);
     if of_first.is_none_or(|bounds| flat_axis(bounds).is_some()) {
         let Some(bounds) = box_of_all_particles(particles)? else {
@@ -39,9 +44,13 @@ pub(crate) fn position_doubts(particles: &FrameInput, settings: &Settings) -> Re
             return Err(Cause::File(Error::invalid("", Position::File, what)));
         };
         let axis = flat_axis(bounds).filter(|_| particles.len() >= PLANAR_COUNT_MIN);
-        let planar =
-            axis.map(|axis| InputWarning::Planar { axis: ['x', 'y', 'z'][axis], at: bounds[0][axis] });
-        warnings.extend(planar.map(Warning::Input));
+        warnings.extend(axis.map(|axis| {
+            Warning::new(format!(
+                "all particles have {} = {}: the surface of such a two-dimensional frame is a layer of one particle",
+                ["x", "y", "z"][axis],
+                significant(bounds[0][axis])
+            ))
+        }));
     }
     Ok(warnings)
 }
@@ -51,7 +60,7 @@ pub(crate) fn position_doubts(particles: &FrameInput, settings: &Settings) -> Re
 ///
 /// # Errors
 /// Those of reading the particles.
-pub(crate) fn shared_position<S: ParticleSource>(particles: &S) -> Result<Option<InputWarning>, S::Error> {
+pub(crate) fn shared_position<S: ParticleSource>(particles: &S) -> Result<Option<Warning>, S::Error> {
     // Of −0 and 0, the sum with 0 is 0.
     let bits = |position: DVec3| (position + DVec3::ZERO).to_array().map(f64::to_bits);
     let batch_count = particles.batch_count();
@@ -80,7 +89,16 @@ pub(crate) fn shared_position<S: ParticleSource>(particles: &S) -> Result<Option
     let at = shared.map(f64::from_bits);
     let is_many = count >= PARKED_MIN && count as f64 > PARKED_SHARE * particle_count as f64;
     let is_parked = is_many && at.iter().all(|along| along.is_finite());
-    Ok(is_parked.then_some(InputWarning::SharedPosition { count, particle_count, at }))
+    Ok(is_parked.then(|| {
+        let [x, y, z] = at;
+        let warning = Warning::new(format!(
+            "{count} of {particle_count} particles have the same position, ({x}, {y}, {z}), as inactive particles of solvers \
+             do: they become a drop"
+        ));
+        // Conditions compare attributes with 32 bits.
+        let [x, y, z] = at.map(|along| f64::from(along as f32));
+        warning.with_remedy(format!("leave them out with --where 'x != {x} or y != {y} or z != {z}'"))
+    }))
 }
 
 /// The numbers of batches and of particles in which a shared position is looked for.

@@ -131,8 +131,7 @@ pub fn parse_particles(
     let unused_velocity =
         velocity.map(|attribute| attribute.name.clone()).filter(|name| !wanted.has_velocity(name));
     let (attributes, missing) = wanted.select(attributes).map_err(missing_error)?;
-    let warnings =
-        notes.into_iter().map(Warning::Sentence).chain(about_kinds).chain(about_sizes).chain(missing);
+    let warnings = notes.into_iter().map(Warning::new).chain(about_kinds).chain(about_sizes).chain(missing);
     let warnings = warnings.collect();
     let cloud = ParticleCloud { positions: particles(positions), shapes: Shapes::Uniform, attributes };
     Ok(ParsedParticles { cloud, warnings, unused_velocity })

@@ -262,7 +262,7 @@ pub(crate) fn output_warnings(surface: &FrameSurface, outputs: &OutputOptions) -
     let vertices = vertex_attributes(&surface.attributes.vertices);
     let mut warnings: Vec<Warning> = Vec::new();
     for mesh in written(outputs).filter_map(OutputFormat::mesh) {
-        for warning in (mesh.attribute_notes)(&vertices).into_iter().map(Warning::Sentence) {
+        for warning in (mesh.attribute_notes)(&vertices).into_iter().map(Warning::new) {
             // .glb and .gltf give the same warning.
             if !warnings.contains(&warning) {
                 warnings.push(warning);
@@ -278,11 +278,11 @@ pub(crate) fn output_warnings(surface: &FrameSurface, outputs: &OutputOptions) -
                 CURVATURE => "because it is that of the mesh",
                 _ => "which can store only attributes of one or three floating-point numbers",
             };
-            Warning::Sentence(format!("{name} is not in the .vdb, {why}"))
+            Warning::new(format!("{name} is not in the .vdb, {why}"))
         }));
         let voxels: Vec<Voxels> = band.iter().map(Voxels).collect();
         let of_grids = vdb::grid_notes(&band_grids(&voxels), &vdb::WriteOptions::default().name);
-        warnings.extend(of_grids.into_iter().map(Warning::Sentence));
+        warnings.extend(of_grids.into_iter().map(Warning::new));
     }
     warnings
 }

@@ -58,7 +58,6 @@ use crate::pipeline::files::stamp::{FileStamp, now_ms};
 use crate::pipeline::input::around::RecordedAround;
 use crate::pipeline::input::frame::{Frame, FrameReport, Job};
 use crate::pipeline::input::steps::file_of;
-use crate::pipeline::warning::Warning;
 
 /// The folder for this program's own files, in the folder of outputs.
 pub const STATE_FOLDER: &str = ".meniscus";
@@ -236,7 +235,7 @@ impl Frame {
         let Some(records) = &self.records else { return Ok(report) };
         let settings = self.recorded_settings();
         let is_surface = self.job != Job::Particles;
-        let flaws = report.all_warnings().into_iter().filter(Warning::is_flaw);
+        let flaws = report.all_warnings().into_iter().filter(|warning| warning.is_flaw);
         let record = Arc::new(DoneRecord {
             name: self.recorded_name(records),
             input: std::path::absolute(&self.input).unwrap_or_else(|_| self.input.clone()),

@@ -4,8 +4,9 @@ use std::path::Path;
 
 use crate::pipeline::input::frame::FrameReport;
 use crate::pipeline::target::outputs::OutputFormat;
-use crate::pipeline::warning::{FrameWarning, InputWarning, SurfaceWarning, Violation, Warning};
+use crate::pipeline::warning::{Warning, counted};
 use crate::surface::report::{ParticlesOutside, ReconstructionReport, ShapeStats};
+use crate::surface::words::{pluralize, rounded_down, significant};
 
 impl FrameReport {
     /// All warnings about a frame that was converted.
@@ -13,13 +14,13 @@ impl FrameReport {
         let report = &self.reconstruction;
         let format = self.outputs.iter().find_map(|path| format_with_world_positions(path));
         let mut warnings = self.warnings.clone();
-        warnings.extend(shape_warnings(report).map(Warning::Input));
+        warnings.extend(shape_warnings(report));
         warnings.extend(transfer_warnings(report));
         warnings.extend(left_out(report));
-        warnings.extend(solver_warnings(report).map(Warning::Frame));
+        warnings.extend(solver_warnings(report));
         warnings.extend(coarse_positions(report, format));
-        warnings.extend(outside(report).map(Warning::Frame));
-        warnings.extend(violations(report).map(Warning::Violation));
+        warnings.extend(outside(report));
+        warnings.extend(violations(report).map(Warning::violation));
         warnings
     }
 
@@ -37,65 +38,82 @@ fn format_with_world_positions(output: &Path) -> Option<OutputFormat> {
 /// Warnings about the shapes of particles. Thin ellipsoids that are widened to the grid's resolution cause no
 /// warning, because at the default radii nearly all are widened. A few particles that are not stretched cause
 /// no warning either, because isolated drops are not stretched.
-fn shape_warnings(report: &ReconstructionReport) -> impl Iterator<Item = InputWarning> {
+fn shape_warnings(report: &ReconstructionReport) -> impl Iterator<Item = Warning> {
     let ShapeStats { small_radius_count, invalid_radius_count, large_radius_count, ball_count, .. } =
         report.shapes;
     let [small, large] = [report.shapes.small_voxel_size, report.shapes.large_voxel_size];
     // If the neighbour search found near particles, isolated ones are normal.
     let is_unstretched = report.shapes.near_count == 0 && 2 * ball_count > report.particle_count;
+    let [small, large] = [rounded_down(small), significant(large * 1.001)];
+    let of_particles = |count, sentence| counted(count, "particle", sentence).map(Warning::new);
+    let unstretched_count = if is_unstretched { ball_count } else { 0 };
     let warnings = [
-        (small_radius_count > 0)
-            .then_some(InputWarning::SmallRadii { count: small_radius_count, voxel_size: small }),
-        (invalid_radius_count > 0).then_some(InputWarning::InvalidRadii { count: invalid_radius_count }),
-        (large_radius_count > 0)
-            .then_some(InputWarning::LargeRadii { count: large_radius_count, voxel_size: large }),
-        is_unstretched.then_some(InputWarning::NotStretched { count: ball_count }),
+        of_particles(
+            small_radius_count,
+            "{} too small for the grid, with the smallest radius that it resolves instead of their own",
+        )
+        .map(|warning| warning.with_remedy(format!("--voxel-size {small} or less resolves all of them"))),
+        of_particles(
+            invalid_radius_count,
+            "{} without a radius that is a positive number: the smallest radius is used",
+        ),
+        of_particles(large_radius_count, "{} too large for the grid: the largest possible radius is used")
+            .map(|warning| {
+                warning.with_remedy(format!("--voxel-size {large} or more keeps the radii of all"))
+            }),
+        of_particles(unstretched_count, "{} not stretched: no finite velocity"),
     ];
     warnings.into_iter().flatten()
 }
 
 /// Warnings about attributes on the surface.
 fn transfer_warnings(report: &ReconstructionReport) -> Vec<Warning> {
-    let mut warnings = Vec::new();
-    let Some(transfer) = &report.transfer else { return warnings };
+    let Some(transfer) = &report.transfer else { return Vec::new() };
     let [vertices, band] = [&transfer.vertices, &transfer.band];
-    let count = vertices.ignored_value_count.max(band.ignored_value_count);
-    if count > 0 {
-        warnings.push(Warning::Input(InputWarning::ValuesNotFinite { count }));
-    }
-    if vertices.empty_count > 0 {
-        let count = vertices.empty_count;
-        warnings.push(Warning::Surface(SurfaceWarning::VerticesWithoutAttributes { count }));
-    }
-    if band.empty_count > 0 {
-        let count = band.empty_count;
-        warnings.push(Warning::Surface(SurfaceWarning::VoxelsWithoutAttributes { count }));
-    }
-    warnings
+    let ignored_count = vertices.ignored_value_count.max(band.ignored_value_count);
+    let ignored = "{} of particle attributes ignored: infinite or NaN";
+    let at_vertices = "{} without a particle in range: attributes are 0 or missing";
+    let in_band = "{} of the .vdb without a particle in range: attributes are 0 there";
+    let sentences = [
+        counted(ignored_count, "value", ignored),
+        counted(vertices.empty_count, "vertex", at_vertices),
+        counted(band.empty_count, "sampled voxel", in_band),
+    ];
+    sentences.into_iter().flatten().map(Warning::new).collect()
 }
 
 /// A warning about particles that the surface leaves out, if there are any.
 pub(crate) fn left_out(report: &ReconstructionReport) -> Option<Warning> {
-    let count = report.dropped_count;
-    let near = report.outlier_position;
-    (count > 0).then_some(Warning::Frame(FrameWarning::ParticlesIgnored { count, near }))
+    let near = report.outlier_position.map(|near| {
+        let [x, y, z] = near.to_array().map(significant);
+        format!("; one is near ({x}, {y}, {z})")
+    });
+    let sentence = "{} left out: not finite, or too far from the origin or from the other particles"
+        .to_owned()
+        + &near.unwrap_or_default();
+    let sentence = counted(report.dropped_count, "particle", &sentence)?;
+    Some(Warning { is_flaw: true, ..Warning::of_frame(sentence) })
 }
 
 /// Warnings about obstacles and the smoothing.
-fn solver_warnings(report: &ReconstructionReport) -> impl Iterator<Item = FrameWarning> {
-    let count = report.contact.particle_count;
-    let are_most = 2 * count > report.particle_count;
-    let step_count = report.smoothing.cfl_exceeded_count;
-    let warnings = [
-        (count > 0).then_some(FrameWarning::ParticlesInObstacles { count, are_most }),
-        report
-            .smoothing
-            .convergence
-            .filter(|convergence| !convergence.reached)
-            .map(|_| FrameWarning::NotConverged),
-        (step_count > 0).then_some(FrameWarning::CflExceeded { step_count }),
-    ];
-    warnings.into_iter().flatten()
+fn solver_warnings(report: &ReconstructionReport) -> impl Iterator<Item = Warning> {
+    let ReconstructionReport { contact, smoothing, .. } = report;
+    // If the mesh of a container is only its inner side, the whole inside of the container is solid.
+    let in_obstacles = if 2 * contact.particle_count > report.particle_count {
+        "{} inside obstacles: the surface does not follow them there; if the obstacle is a container, give its walls a \
+         thickness: otherwise all of it is solid"
+    } else {
+        "{} inside obstacles: the surface does not follow them there"
+    };
+    let in_obstacles = counted(contact.particle_count, "particle", in_obstacles).map(Warning::of_frame);
+    let is_unconverged = smoothing.convergence.is_some_and(|convergence| !convergence.reached);
+    let unconverged =
+        is_unconverged.then(|| "the implicit solver did not converge to its tolerance".to_owned());
+    let exceeded = "{} exceeded the CFL limit of one voxel per step";
+    let exceeded = counted(smoothing.cfl_exceeded_count, "explicit step", exceeded);
+    let of_steps = unconverged.into_iter().chain(exceeded);
+    let of_steps = of_steps.map(|it| Warning::of_frame(it).with_remedy("choose a smaller --step-size"));
+    in_obstacles.into_iter().chain(of_steps)
 }
 
 /// There is a warning if the rounding error of positions is greater than this, in voxels.
@@ -107,9 +125,19 @@ pub(crate) fn coarse_positions(
     report: &ReconstructionReport,
     format: Option<OutputFormat>,
 ) -> Option<Warning> {
-    let voxels = report.certificate.position_rounding;
-    (voxels > ROUNDING_REPORTED_FROM)
-        .then_some(Warning::Frame(FrameWarning::CoarsePositions { voxels, format }))
+    let rounding = report.certificate.position_rounding;
+    if rounding <= ROUNDING_REPORTED_FROM {
+        return None;
+    }
+    let cause = format.map_or_else(
+        || "parts of this frame lie so far apart that".to_owned(),
+        |format| format!("a .{format} has world positions, so in all files of this frame"),
+    );
+    let warning = Warning::of_frame(format!(
+        "{cause} the 32-bit positions of some vertices are off by up to {} voxels",
+        significant(rounding)
+    ));
+    Some(Warning { remedy: format.map(|format| format!("leave {format} out of --format")), ..warning })
 }
 
 /// There is a warning if more than this fraction of the particles is outside.
@@ -117,34 +145,53 @@ const OUTSIDE_REPORTED_FROM: f64 = 0.02;
 
 /// A warning about particles outside the surface, if an offset or position smoothing leaves more than a few
 /// outside.
-fn outside(report: &ReconstructionReport) -> Option<FrameWarning> {
+fn outside(report: &ReconstructionReport) -> Option<Warning> {
     let certificate = &report.certificate;
     let is_offset = certificate.may_leave_particles_outside;
     let is_smoothed = certificate.input_positions_outside.is_some();
     let by_offset = is_offset.then_some(certificate.particles_outside);
     let ParticlesOutside { count, .. } = certificate.input_positions_outside.or(by_offset)?;
     let particle_count = report.particle_count;
-    (count as f64 > OUTSIDE_REPORTED_FROM * particle_count as f64).then_some(FrameWarning::ParticlesOutside {
-        count,
-        particle_count,
-        is_offset,
-        is_smoothed,
+    let cause = match (is_offset, is_smoothed) {
+        (true, true) => "an offset moved it inward, and positions were smoothed",
+        (true, false) => "an offset moved it inward",
+        (false, _) => "positions were smoothed",
+    };
+    (count as f64 > OUTSIDE_REPORTED_FROM * particle_count as f64).then(|| {
+        let verb = if count == 1 { "is" } else { "are" };
+        let particles = pluralize(particle_count, "particle");
+        Warning::of_frame(format!("{count} of {particles} {verb} outside the surface: {cause}"))
     })
 }
 
 /// The failed checks.
-fn violations(report: &ReconstructionReport) -> impl Iterator<Item = Violation> {
+fn violations(report: &ReconstructionReport) -> impl Iterator<Item = String> {
     let certificate = &report.certificate;
-    let voxel_count = certificate.bound_violation_count;
-    let (near_count, nearest_voxels) = (certificate.vertices_inside_min, certificate.vertex_distance_min);
-    let (far_count, farthest_voxels) = (certificate.vertices_outside_max, certificate.vertex_distance_max);
-    let outside_count = certificate.particle_violation_count();
+    let too_near = format!(
+        "{{}} of the mesh too near to a particle (nearer than allowed by more than half a voxel); the smallest distance is \
+         {} voxels",
+        significant(certificate.vertex_distance_min)
+    );
+    let too_far = format!(
+        "{{}} of the mesh too far from all particles (farther than allowed by more than half a voxel); the largest distance \
+         is {} voxels",
+        significant(certificate.vertex_distance_max)
+    );
+    let mesh = &report.mesh;
+    let faults = [
+        (mesh.boundary_edge_count, "boundary edge"),
+        (mesh.non_manifold_edge_count, "non-manifold edge"),
+        (mesh.non_manifold_vertex_count, "non-manifold vertex"),
+        (mesh.degenerate_triangle_count, "triangle without area"),
+    ];
+    let faults: Vec<String> = faults.iter().filter_map(|(count, noun)| counted(*count, noun, "{}")).collect();
     let violations = [
-        (voxel_count > 0).then_some(Violation::OutOfBounds { voxel_count }),
-        (near_count > 0).then_some(Violation::VerticesTooNear { count: near_count, nearest_voxels }),
-        (far_count > 0).then_some(Violation::VerticesTooFar { count: far_count, farthest_voxels }),
-        (outside_count > 0).then_some(Violation::NotEnclosed { count: outside_count }),
-        (!report.mesh.is_closed_manifold()).then(|| Violation::NotClosed(Box::new(report.mesh))),
+        counted(certificate.bound_violation_count, "voxel", "the level set is outside its bounds at {}"),
+        counted(certificate.vertices_inside_min, "vertex", &too_near),
+        counted(certificate.vertices_outside_max, "vertex", &too_far),
+        counted(certificate.particle_violation_count(), "particle", "{} outside the surface"),
+        (!mesh.is_closed_manifold())
+            .then(|| format!("the mesh is not closed and manifold: {}", faults.join(", "))),
     ];
     violations.into_iter().flatten()
 }

@@ -163,7 +163,7 @@ pub(super) fn contour_stage(
         };
         let surface = shared.measured(Stage::Contour, frame, info, work)?;
         if other_count > 0 {
-            warnings.extend(not_followed(&surface.report.temporal).map(Warning::Input));
+            warnings.extend(not_followed(&surface.report.temporal));
         }
         info.around = around;
         info.noted.warnings.append(&mut warnings);

@@ -13,7 +13,7 @@ use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::input::around::{FoundFrame, not_averaged};
 use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame::Frame;
-use crate::pipeline::warning::{InputWarning, Warning};
+use crate::pipeline::warning::Warning;
 use crate::surface::options::{REST_NAMES, RestAt, Settings};
 use crate::surface::origins::Origins;
 use crate::surface::particles::{
@@ -106,8 +106,12 @@ impl StageContext<'_> {
         }
         // The option names them, so attributes of these names in the file do not count.
         let is_replaced = |given: &Attribute| REST_NAMES.contains(&&*given.name);
-        let share_ids = !ids.is_empty() && unique_ids(ids).is_empty();
-        notes.warnings.extend(share_ids.then_some(Warning::Input(InputWarning::SharedIds)));
+        if !ids.is_empty() && unique_ids(ids).is_empty() {
+            notes.warnings.push(Warning::new(
+                "rest coordinates are those of this frame: the particles have no ids of their own, by which they could be \
+                 followed",
+            ));
+        }
         cloud.attributes.retain(|given| !is_replaced(given));
         cloud.attributes.append(&mut found);
         notes.warnings.dedup();

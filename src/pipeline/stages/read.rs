@@ -28,7 +28,7 @@ use crate::pipeline::input::steps::{StampedContent, reading_bytes, step_of};
 use crate::pipeline::method;
 use crate::pipeline::records::content::irreplaceable_output;
 use crate::pipeline::records::provenance::MadeFrom;
-use crate::pipeline::warning::{InputWarning, Warning};
+use crate::pipeline::warning::Warning;
 use crate::surface::attributes::add_computed;
 use crate::surface::particles::ParticleCloud;
 use crate::surface::reconstruction::MemoryPlan;
@@ -224,7 +224,12 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             let sequence = with_around(&given, hash, &others);
             let SeparatedCloud { fluid, spray, lacks_ids, failures } =
                 shared.without_spray(read.cloud, &given.settings, &sequence, 0);
-            warnings.extend(lacks_ids.then_some(Warning::Input(InputWarning::SprayWithoutIds)));
+            if lacks_ids {
+                warnings.push(Warning::new(
+                    "the particles have no ids of their own, so each frame alone decides which of them are spray, and pieces \
+                     may flicker between the surface and the points",
+                ));
+            }
             warnings.extend(failures.iter().map(|(_, error)| not_averaged(error)));
             let may_be_read = failures.iter().filter(|(_, error)| !is_of_content(&error.cause, ""));
             unread.extend(may_be_read.map(|(steps, _)| *steps));
@@ -262,7 +267,10 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             let plan = plan.map_err(failed)?;
             if plan.tile_leaves.is_some() {
                 let whole_bytes = plan.in_core_bytes.saturating_add(given.size_bytes());
-                warnings.push(Warning::Tiled { whole_bytes });
+                let mebibytes = whole_bytes.div_ceil(1 << 20);
+                let sentence =
+                    format!("processed in tiles, which takes longer: without tiles it needs {mebibytes} MiB");
+                warnings.push(Warning::new(sentence).with_remedy("raise the limit with --memory"));
             }
             Ok((ReadContent::Surface { input: Box::new(given), obstacles, plan }, noted))
         });

@@ -5,9 +5,10 @@ use crate::pipeline::input::around::{FoundFrame, not_averaged};
 use crate::pipeline::input::attributes::AttributeRequest;
 use crate::pipeline::input::frame::Frame;
 use crate::pipeline::input::frame_rate::is_same_time;
-use crate::pipeline::warning::{InputWarning, Warning};
+use crate::pipeline::warning::Warning;
 use crate::surface::attributes::{FoundBy, add_velocities, time_between};
 use crate::surface::particles::ParticleCloud;
+use crate::surface::words::significant;
 
 use super::StageContext;
 use super::compute::is_of_content;
@@ -46,11 +47,18 @@ impl StageContext<'_> {
             notes.has_computed_velocities = true;
             match add_velocities(cloud, [before.as_ref(), after.as_ref()], settings) {
                 Some(FoundBy::Ids) => None,
-                Some(FoundBy::Order) => Some(InputWarning::FollowedByOrder),
+                Some(FoundBy::Order) => Some(Warning::new(
+                    "the particles have no ids: their velocities are computed as if all frames had them in the same order",
+                )),
                 // Another warning says that.
                 None if frame.number.is_none() => None,
-                None if around.is_empty() => Some(InputWarning::NoFrameBeside),
-                None => Some(InputWarning::VelocitiesNotComputed),
+                None if around.is_empty() => Some(Warning::new(
+                    "velocities are not computed: there is no frame with the number before or after",
+                )),
+                None => Some(Warning::new(
+                    "velocities are not computed: the frames before and after have no particles with the same ids, nor as \
+                     many in the same order",
+                )),
             }
         } else {
             let pair = before.as_ref().zip(after.as_ref());
@@ -58,10 +66,16 @@ impl StageContext<'_> {
             let measured = time.map(|time| time / settings.velocity_scale);
             let is_other = |measured: &f64| !is_same_time(*measured, seconds);
             measured.filter(is_other).map(|measured| {
-                let velocity_scale = settings.velocity_scale * measured / seconds;
-                InputWarning::OtherTimeStep { measured, given: seconds, velocity_scale }
+                let velocity_scale = significant(settings.velocity_scale * measured / seconds);
+                let [measured, requested] = [measured, seconds].map(significant);
+                Warning::new(format!(
+                    "by their velocities and ids, the particles move as if frames were {measured} seconds apart, not {requested}"
+                ))
+                .with_remedy(format!(
+                    "check --time-step, or use --velocity-scale {velocity_scale} if the velocities have another unit of time"
+                ))
             })
         };
-        notes.warnings.extend(warning.map(Warning::Input));
+        notes.warnings.extend(warning);
     }
 }

@@ -118,7 +118,7 @@ impl<'scope, 'env: 'scope> Stages<'_, 'scope, 'env> {
             info.seconds.preview = preview_time.as_secs_f64();
             let mut warnings = surface_warnings(&surface, &frame.outputs, &frame.settings);
             let of_points = frame.outputs.spray.iter().flat_map(|format| format.notes(&points));
-            warnings.extend(of_points.map(Warning::Sentence));
+            warnings.extend(of_points.map(Warning::new));
             let reconstruction = surface.report.clone();
             record_frame(frame, FrameReport { reconstruction, ..base_report(frame, info, written, warnings) })
         });

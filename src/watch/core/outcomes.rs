@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::pipeline::{
-    DoneRecord, FrameError, FrameReport, InputState, Outcome, Reason, RecordLine, RecordedFrame, Scope,
+    DoneRecord, FrameError, FrameReport, InputState, Outcome, Reason, RecordLine, RecordedFrame,
     UnfinishedRecord, UnfinishedState,
 };
 
@@ -81,7 +81,7 @@ impl Core {
         let Some(sequence) = self.frames.get(id).map(|frame| frame.sequence) else { return };
         let sequence = self.sequences.get_mut(sequence);
         let mut warnings = report.all_warnings();
-        warnings.retain(|warning| warning.scope() == Scope::Frame || sequence.reported.is_new(warning));
+        warnings.retain(|warning| sequence.reported.is_new(warning));
         let unused = report.unused_velocity.clone();
         let unused_velocity =
             unused.filter(|_| !std::mem::replace(&mut sequence.has_reported_velocity, true));
