@@ -17,11 +17,11 @@ use super::read::{MESHES, is_own_sequence};
 use super::scene::{Geometry, GeometryKind, Scene, vectors};
 use crate::core::batches::ReadAt;
 use crate::core::container::{ContainerFile, ContainerFrames, ContainerReader, Sample, frame_at};
-use crate::core::data::{FilePositions, ParticleFrame, Values};
+use crate::core::data::{FileAttribute, FilePositions, ParticleFrame, Values};
 use crate::core::error::Result;
 use crate::core::limits::Limits;
 use crate::core::matrix::{IDENTITY, Matrix, change_vectors, determinant, normal_transform, transformed};
-use crate::core::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
+use crate::core::named_arrays::{ParticlePart, frame_of_parts};
 use crate::core::options::UpAxis;
 use crate::core::text::excerpt;
 
@@ -184,7 +184,7 @@ impl PointsReader<'_> {
         name: &str,
         count: usize,
         matrix: &Matrix,
-    ) -> Result<Option<NamedArray>> {
+    ) -> Result<Option<FileAttribute>> {
         let is_constant = entry(&property.metadata, "geoScope") == "con";
         let archive = &self.scene.archive;
         let (arity, mut values) = if self.are_own && property.name == names::IDS {
@@ -224,6 +224,6 @@ impl PointsReader<'_> {
                 _ => {}
             }
         }
-        Ok(Some(NamedArray { name: name.to_owned(), arity, values }))
+        Ok(Some(FileAttribute::new(name, arity, values)))
     }
 }

@@ -23,7 +23,7 @@ use crate::core::columns::{Group, group_columns, of_integers, position_rank, rol
 use crate::core::data::{FileAttribute, ParticleFrame, Values};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
-use crate::core::named_arrays::{ArrayShape, NamedArray, frame_of, position_count};
+use crate::core::named_arrays::{ArrayShape, frame_of, position_count};
 use crate::core::number::wide;
 use crate::core::row::{FormatRow, ParticleReader};
 use crate::core::text::{excerpt, excerpts};
@@ -63,14 +63,14 @@ struct JsonList {
     /// The name is empty for particles without one, be they positions or records. The arity is 3 before the first row,
     /// and 0 if the list is skipped. The values are integers up to the first other number, which makes them 64-bit
     /// floats.
-    array: NamedArray,
+    array: FileAttribute,
     /// The number of complete rows, one per particle.
     row_count: usize,
 }
 
 impl JsonList {
     fn push(&mut self, integer: Option<i64>, real: f64) {
-        let NamedArray { name, arity, values } = &mut self.array;
+        let FileAttribute { name, arity, values, .. } = &mut self.array;
         // An endless row takes no memory.
         let is_long = name.is_empty() && values.len() > self.row_count * *arity + ROW_MAX;
         match (values, integer) {
@@ -122,7 +122,7 @@ impl JsonLists {
         if self.lists.len() > self.count_max {
             return Err(E::custom("too many names"));
         }
-        let array = NamedArray { name: name.to_owned(), arity: 3, values: Values::I64(Vec::new()) };
+        let array = FileAttribute::new(name, 3, Values::I64(Vec::new()));
         self.lists.push(JsonList { array, row_count: 0 });
         Ok(self.lists.len() - 1)
     }
@@ -153,7 +153,7 @@ impl JsonLists {
         let what = "no positions: expected [[x, y, z], ..], records with x, y and z, or an object with a list \
                     `positions` or with lists x, y and z; found the lists: ";
         let no_positions = Error::invalid(FORMAT, Position::File, format!("{what}{names}{skipped}"));
-        let mut arrays: Vec<NamedArray> = self.lists.into_iter().map(|list| list.array).collect();
+        let mut arrays: Vec<FileAttribute> = self.lists.into_iter().map(|list| list.array).collect();
         widen_columns(&mut arrays);
         let unnamed = arrays.iter().position(|array| array.name.is_empty());
         let first = unnamed.map(|index| unnamed_frame(arrays.remove(index))).transpose();
@@ -185,7 +185,7 @@ impl JsonLists {
 }
 
 /// Makes the components of a vector reals if one of them has reals: only equal types are joined.
-fn widen_columns(arrays: &mut [NamedArray]) {
+fn widen_columns(arrays: &mut [FileAttribute]) {
     let mut singles: Vec<_> = arrays.iter_mut().filter(|array| array.arity == 1).collect();
     let names: Vec<_> = singles.iter().map(|array| (&*array.name, ())).collect();
     for Group { columns, .. } in group_columns(&names).groups {

@@ -26,11 +26,11 @@ use crate::core::bytes::Endian;
 use crate::core::container::{
     ContainerFile, ContainerFrames, ContainerReader, ReadFrame, Sample, further_path,
 };
-use crate::core::data::{FilePositions, ParticleFrame, Values};
+use crate::core::data::{FileAttribute, FilePositions, ParticleFrame, Values};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
+use crate::core::named_arrays::ParticlePart;
 use crate::core::named_arrays::frame_of_pieces;
-use crate::core::named_arrays::{NamedArray, ParticlePart};
 use crate::core::number::decimals;
 use crate::core::number::{NumberType, interleaved, positions};
 use crate::core::row::{FormatRow, ParticleReader};
@@ -388,7 +388,7 @@ fn piece(text: &str, offset: u64, items: &mut ItemReader, notes: &mut Vec<String
     let values = values.filter(|values| values.len() % 3 == 0).ok_or_else(wrong)?;
     let positions = positions(values).ok_or_else(wrong)?;
     let arrays = grid.attributes.iter().map(|attribute| array(attribute, &positions, items, notes));
-    let arrays: Vec<Option<NamedArray>> = arrays.collect::<Result<_>>()?;
+    let arrays: Vec<Option<FileAttribute>> = arrays.collect::<Result<_>>()?;
     Ok(ParticlePart { positions, arrays: arrays.into_iter().flatten().collect() })
 }
 
@@ -398,7 +398,7 @@ fn array(
     positions: &FilePositions,
     items: &mut ItemReader,
     notes: &mut Vec<String>,
-) -> Result<Option<NamedArray>> {
+) -> Result<Option<FileAttribute>> {
     let count = positions.len() as u64;
     let reason = match &attribute.items[..] {
         _ if !attribute.is_at_points => "it has no values at the points".to_owned(),
@@ -406,7 +406,7 @@ fn array(
         [item @ DataItem { count: Some(found), .. }] if count > 0 && found % count == 0 && *found > 0 => {
             let values = items.values(item)?;
             let arity = usize::try_from(found / count).unwrap_or_default();
-            return Ok(Some(NamedArray { name: attribute.name.clone(), arity, values }));
+            return Ok(Some(FileAttribute::new(attribute.name.clone(), arity, values)));
         }
         [DataItem { count: Some(found), .. }] => format!("it has {found} values for {count} points"),
         _ => "it has no dimensions, or several items".to_owned(),

@@ -152,6 +152,16 @@ pub struct FileAttribute {
 }
 
 impl FileAttribute {
+    /// An attribute without a role.
+    pub(crate) fn new(name: impl Into<String>, arity: usize, values: Values) -> FileAttribute {
+        FileAttribute { name: name.into(), arity, role: None, values }
+    }
+
+    /// The number of particles that it has values for. The arity is 0 in invalid files.
+    pub(crate) fn particle_count(&self) -> usize {
+        self.values.len() / self.arity.max(1)
+    }
+
     /// The distinct values of a scalar with the number of particles that have each, in ascending order;
     /// `None` for vectors, for more than `count_max` values, and for numbers that are not integers. A
     /// particle without a string counts as one with an empty string.

@@ -24,27 +24,11 @@ use crate::core::matrix::{Matrix, change_vectors, determinant, normal_transform,
 use crate::core::number::{self, append_any, interleaved};
 use crate::core::text::excerpt;
 
-/// One or more values per particle, particle by particle.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct NamedArray {
-    pub(crate) name: String,
-    /// Number of values per particle; 0 in invalid files.
-    pub(crate) arity: usize,
-    pub(crate) values: Values,
-}
-
-impl NamedArray {
-    /// The number of particles that it has values for.
-    pub(crate) fn particle_count(&self) -> usize {
-        self.values.len() / self.arity.max(1)
-    }
-}
-
 /// Builds a frame. Without `positions`, looks for them among the arrays, and returns `None` if there are
 /// none. Skips arrays whose length does not match the number of particles, with a note.
 pub(crate) fn frame_of(
     positions: Option<FilePositions>,
-    mut arrays: Vec<NamedArray>,
+    mut arrays: Vec<FileAttribute>,
 ) -> Option<ParticleFrame> {
     let named = positions
         .or_else(|| take_vector_position(&mut arrays, named_position).map(|(_, positions)| positions))
@@ -53,7 +37,7 @@ pub(crate) fn frame_of(
         Some(positions) => (None, positions),
         None => {
             let index = unnamed_position(&arrays.iter().map(ArrayShape::of).collect::<Vec<_>>())?;
-            let NamedArray { name, values, .. } = arrays.remove(index);
+            let FileAttribute { name, values, .. } = arrays.remove(index);
             (Some(name), number::positions(values)?)
         }
     };
@@ -72,7 +56,8 @@ pub(crate) fn frame_of(
     if let (Some(name), None) = (&unnamed, pair) {
         notes.push(format!("`{}` is used as the position", excerpt(name)));
     }
-    let attribute = |(array, role): (NamedArray, _)| with_role(array.name, array.arity, role, array.values);
+    let attribute =
+        |(array, role): (FileAttribute, _)| with_role(array.name, array.arity, role, array.values);
     let attributes: Vec<FileAttribute> = arrays.into_iter().zip(roles).map(attribute).collect();
     notes.extend(attributes.iter().filter_map(note_on_diameter));
     Some(ParticleFrame { positions, attributes, notes })
@@ -90,7 +75,7 @@ pub(crate) struct ArrayShape<'a> {
 }
 
 impl<'a> ArrayShape<'a> {
-    pub(crate) fn of(array: &'a NamedArray) -> ArrayShape<'a> {
+    pub(crate) fn of(array: &'a FileAttribute) -> ArrayShape<'a> {
         ArrayShape {
             name: &array.name,
             arity: array.arity,
@@ -122,7 +107,7 @@ pub(crate) fn unnamed_position_count(arrays: &[ArrayShape]) -> Option<usize> {
 #[derive(Debug, Default)]
 pub(crate) struct ParticlePart {
     pub(crate) positions: FilePositions,
-    pub(crate) arrays: Vec<NamedArray>,
+    pub(crate) arrays: Vec<FileAttribute>,
 }
 
 /// Joins parts to one. Leaves out arrays that not all parts with particles have with the same type, with a note that
@@ -133,15 +118,15 @@ pub(crate) fn joined_parts(parts: Vec<ParticlePart>, kind: &str, notes: &mut Vec
     for part in parts {
         all.positions.append(part.positions);
         let mut more = part.arrays;
-        let mut has_more = |array: &mut NamedArray| {
-            let same = |more: &mut NamedArray| (&more.name, more.arity) == (&array.name, array.arity);
+        let mut has_more = |array: &mut FileAttribute| {
+            let same = |more: &mut FileAttribute| (&more.name, more.arity) == (&array.name, array.arity);
             let found = more.extract_if(.., same).next();
             found.is_some_and(|found| append_any(&mut array.values, found.values))
         };
-        let mut lost: Vec<NamedArray> = all.arrays.extract_if(.., |array| !has_more(array)).collect();
+        let mut lost: Vec<FileAttribute> = all.arrays.extract_if(.., |array| !has_more(array)).collect();
         lost.append(&mut more);
         lost.sort_by(|one, other| one.name.cmp(&other.name));
-        for NamedArray { name, .. } in lost {
+        for FileAttribute { name, .. } in lost {
             let note = format!("skipped the array `{}`: it is not the same in all {kind}", excerpt(&name));
             if !notes.contains(&note) {
                 notes.push(note);
@@ -172,11 +157,11 @@ pub(crate) fn frame_of_parts(
 }
 
 /// Removes arrays whose length does not match the number of particles, and returns a note for each.
-fn take_mismatched(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<String> {
-    let fits = |array: &NamedArray| {
+fn take_mismatched(arrays: &mut Vec<FileAttribute>, particle_count: usize) -> Vec<String> {
+    let fits = |array: &FileAttribute| {
         array.arity != 0 && array.arity.checked_mul(particle_count) == Some(array.values.len())
     };
-    let note = |array: NamedArray| {
+    let note = |array: FileAttribute| {
         format!(
             "skipped `{}`: it has {} rows for {particle_count} particles",
             excerpt(&array.name),
@@ -189,14 +174,15 @@ fn take_mismatched(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<S
 /// Takes the position, with its name, from the arrays with three values per particle: the one that `find` chooses by
 /// their names.
 fn take_vector_position(
-    arrays: &mut Vec<NamedArray>,
+    arrays: &mut Vec<FileAttribute>,
     find: fn(&[&str]) -> Option<usize>,
 ) -> Option<(String, FilePositions)> {
-    let is_vector = |array: &NamedArray| array.arity == 3 && !matches!(array.values, Values::Strings { .. });
+    let is_vector =
+        |array: &FileAttribute| array.arity == 3 && !matches!(array.values, Values::Strings { .. });
     let vectors: Vec<usize> = (0..arrays.len()).filter(|&index| is_vector(&arrays[index])).collect();
     let names: Vec<&str> = vectors.iter().map(|&index| &*arrays[index].name).collect();
     let index = vectors[find(&names)?];
-    let NamedArray { name, values, .. } = arrays.remove(index);
+    let FileAttribute { name, values, .. } = arrays.remove(index);
     Some((name, number::positions(values)?))
 }
 
@@ -232,7 +218,7 @@ fn unnamed_position(arrays: &[ArrayShape]) -> Option<usize> {
 }
 
 /// Takes the position from three arrays with one value per particle, chosen by their names.
-fn take_column_position(arrays: &mut Vec<NamedArray>) -> Option<FilePositions> {
+fn take_column_position(arrays: &mut Vec<FileAttribute>) -> Option<FilePositions> {
     let singles: Vec<usize> = (0..arrays.len()).filter(|&index| is_column(&arrays[index])).collect();
     let columns: Vec<_> = singles.iter().map(|&index| (&*arrays[index].name, ())).collect();
     let position = group_columns(&columns).position?.map(|column| singles[column]);
@@ -252,16 +238,16 @@ fn take_column_position(arrays: &mut Vec<NamedArray>) -> Option<FilePositions> {
     Some(positions)
 }
 
-fn is_column(array: &NamedArray) -> bool {
+fn is_column(array: &FileAttribute) -> bool {
     array.arity == 1 && !matches!(array.values, Values::Strings { .. })
 }
 
 /// Joins scalar arrays that have the names of the components of a vector.
-fn joined(arrays: Vec<NamedArray>) -> Vec<NamedArray> {
+fn joined(arrays: Vec<FileAttribute>) -> Vec<FileAttribute> {
     let singles: Vec<usize> = (0..arrays.len()).filter(|&index| is_column(&arrays[index])).collect();
     let column = |&index: &usize| (&*arrays[index].name, discriminant(&arrays[index].values));
     let groups = group_columns(&singles.iter().map(column).collect::<Vec<_>>()).groups;
-    let mut vector_at: Vec<Option<NamedArray>> = arrays.iter().map(|_| None).collect();
+    let mut vector_at: Vec<Option<FileAttribute>> = arrays.iter().map(|_| None).collect();
     let mut is_joined = vec![false; arrays.len()];
     for Group { name, columns, .. } in groups.into_iter().filter(|group| group.arity() > 1) {
         let members: Vec<usize> = columns.into_iter().map(|column| singles[column]).collect();
@@ -270,7 +256,7 @@ fn joined(arrays: Vec<NamedArray>) -> Vec<NamedArray> {
         for &index in &members {
             is_joined[index] = true;
         }
-        vector_at[first] = Some(NamedArray { name, arity: members.len(), values });
+        vector_at[first] = Some(FileAttribute::new(name, members.len(), values));
     }
     let entries = arrays.into_iter().zip(vector_at).zip(is_joined);
     entries.filter_map(|((array, vector), is_joined)| if is_joined { vector } else { Some(array) }).collect()
@@ -283,8 +269,8 @@ fn note_on_diameter(attribute: &FileAttribute) -> Option<String> {
 }
 
 /// Applies the transform of `owner`, such as a prim, to vectors and radii.
-pub(crate) fn placed(arrays: &mut [NamedArray], matrix: &Matrix, owner: &str, notes: &mut Vec<String>) {
-    for NamedArray { name, arity, values } in arrays {
+pub(crate) fn placed(arrays: &mut [FileAttribute], matrix: &Matrix, owner: &str, notes: &mut Vec<String>) {
+    for FileAttribute { name, arity, values, .. } in arrays {
         match role_of(name, *arity) {
             Some(AttributeRole::Velocity | AttributeRole::Acceleration) => {
                 change_vectors(values, |vector| transformed(matrix, vector, 0.0));
@@ -321,17 +307,17 @@ pub(crate) fn frame_of_pieces(pieces: Vec<ParticlePart>, mut notes: Vec<String>)
 mod tests {
     use super::*;
 
-    fn array(name: &str, arity: usize) -> NamedArray {
+    fn array(name: &str, arity: usize) -> FileAttribute {
         let values = Values::F32((0..2 * arity).map(|n| n as f32).collect());
-        NamedArray { name: name.into(), arity, values }
+        FileAttribute::new(name, arity, values)
     }
 
-    fn short(name: &str) -> NamedArray {
-        NamedArray { name: name.into(), arity: 1, values: Values::F32(vec![0.0]) }
+    fn short(name: &str) -> FileAttribute {
+        FileAttribute::new(name, 1, Values::F32(vec![0.0]))
     }
 
     /// Describes the first position, then each attribute as `name arity role`.
-    fn described(arrays: Vec<NamedArray>) -> Option<String> {
+    fn described(arrays: Vec<FileAttribute>) -> Option<String> {
         let frame = frame_of(None, arrays)?;
         let mut text = match &frame.positions {
             FilePositions::F32(positions) => format!("{:?}", positions[0]),
@@ -375,8 +361,8 @@ mod tests {
     fn positions_and_vectors_are_recognised() {
         let (wide, text) =
             (Values::F64(vec![5.0; 2]), Values::Strings { table: vec![], indices: vec![0; 2] });
-        let wide = NamedArray { name: "z".into(), arity: 1, values: wide };
-        let text = NamedArray { name: "type".into(), arity: 1, values: text };
+        let wide = FileAttribute::new("z", 1, wide);
+        let text = FileAttribute::new("type", 1, text);
         let table = [
             (vec![array("vel", 3), array("pos", 3)], Some("[0.0, 1.0, 2.0] | vel 3 Velocity")),
             (vec![array("x", 1), array("y", 1), array("z", 1)], Some("[0.0, 0.0, 0.0]")),
@@ -404,8 +390,8 @@ mod tests {
     #[test]
     fn arrays_of_wrong_length_are_skipped_with_a_note() {
         let positions = FilePositions::F32(vec![[0.0; 3]; 3]);
-        let fits = NamedArray { name: "id".into(), arity: 1, values: Values::I32(vec![1, 2, 3]) };
-        let none = NamedArray { name: "none".into(), arity: 0, values: Values::I32(vec![]) };
+        let fits = FileAttribute::new("id", 1, Values::I32(vec![1, 2, 3]));
+        let none = FileAttribute::new("none", 0, Values::I32(vec![]));
         let frame = frame_of(Some(positions), vec![array("v", 3), fits, none]).unwrap();
         let names: Vec<&str> = frame.attributes.iter().map(|array| array.name.as_str()).collect();
         assert_eq!(names, ["id"]);

@@ -36,10 +36,10 @@ use rayon::prelude::*;
 use crate::core::blosc::decode_frame;
 use crate::core::bytes::{Cursor, Endian};
 use crate::core::columns::role_of;
-use crate::core::data::{FilePositions, ParticleFrame, Values};
+use crate::core::data::{FileAttribute, FilePositions, ParticleFrame, Values};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
-use crate::core::named_arrays::{NamedArray, frame_of};
+use crate::core::named_arrays::frame_of;
 use crate::core::number::{self, NumberType, components, divided};
 use crate::core::row::{FormatRow, ParticleReader};
 use tokens::{JsonToken, TokenWalk, is_binary, text_count_max};
@@ -99,7 +99,7 @@ pub(crate) static CONTAINER: FormatRow = FormatRow {
 struct FoundGeometry {
     point_count: Option<usize>,
     positions: Option<FilePositions>,
-    arrays: Vec<NamedArray>,
+    arrays: Vec<FileAttribute>,
     notes: Vec<String>,
     /// Number of primitives of each type.
     primitives: BTreeMap<String, u64>,
@@ -159,7 +159,7 @@ fn point_groups(walk: &mut TokenWalk, found: &mut FoundGeometry, limits: &Limits
                 let is_taken = found.arrays.iter().any(|array| array.name == name);
                 let prefix = if is_taken || role_of(&name, 1).is_some() { "group_" } else { "" };
                 let name = format!("{prefix}{name}");
-                found.arrays.push(NamedArray { name, arity: 1, values: Values::U8(members) });
+                found.arrays.push(FileAttribute::new(name, 1, Values::U8(members)));
             }
             (name, None) => {
                 found.notes.push(format!("skipped the point group {name:?}: its encoding is not supported"));
@@ -261,7 +261,7 @@ fn check_primitives(primitives: &BTreeMap<String, u64>, point_count: usize) -> R
 
 /// A point attribute, or the reason for skipping it.
 enum PointAttribute {
-    Read(NamedArray),
+    Read(FileAttribute),
     LeftOut { name: String, kind: String },
 }
 
@@ -314,7 +314,7 @@ fn numeric(walk: &mut TokenWalk, name: String, count: usize, limits: &Limits) ->
         _ => walk.skip(),
     })?;
     let found = found.ok_or_else(|| walk.invalid("the attribute has no values"))?;
-    Ok(PointAttribute::Read(NamedArray { name, arity: found.size, values: found.values }))
+    Ok(PointAttribute::Read(FileAttribute::new(name, found.size, found.values)))
 }
 
 fn strings(walk: &mut TokenWalk, name: String, count: usize, limits: &Limits) -> Result<PointAttribute> {
@@ -335,11 +335,7 @@ fn strings(walk: &mut TokenWalk, name: String, count: usize, limits: &Limits) ->
         Values::U8(indices) => indices.into_iter().map(i32::from).collect(),
         _ => return Err(walk.invalid("the indices are not integers")),
     };
-    Ok(PointAttribute::Read(NamedArray {
-        name,
-        arity: found.size,
-        values: Values::Strings { table, indices },
-    }))
+    Ok(PointAttribute::Read(FileAttribute::new(name, found.size, Values::Strings { table, indices })))
 }
 
 /// Reads the next value as a list of strings.
@@ -382,7 +378,7 @@ fn check_texts(walk: &mut TokenWalk, texts: &[Cow<str>]) -> Result<()> {
 }
 
 /// Converts the attribute `P` to positions. Of four floats per point, the fourth divides the first three.
-fn positions(array: NamedArray) -> Option<FilePositions> {
+fn positions(array: FileAttribute) -> Option<FilePositions> {
     match (array.arity, array.values) {
         (3, values) => number::positions(values),
         (4, Values::F32(values)) => {

@@ -18,11 +18,11 @@
 //! Numbers in binary data are little-endian. `rgb` and `rgba` pack a colour into 32 bits, whatever their type.
 
 use crate::core::bytes::Endian;
-use crate::core::data::{ParticleFrame, Values};
+use crate::core::data::{FileAttribute, ParticleFrame, Values};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
 use crate::core::lzf;
-use crate::core::named_arrays::{NamedArray, frame_of};
+use crate::core::named_arrays::frame_of;
 use crate::core::number::NumberType;
 use crate::core::row::{FormatRow, ParticleReader};
 use crate::core::text::open_end_note;
@@ -276,7 +276,7 @@ impl Header {
         Ok(records)
     }
 
-    fn arrays_of_records(&self, records: &[u8]) -> Vec<NamedArray> {
+    fn arrays_of_records(&self, records: &[u8]) -> Vec<FileAttribute> {
         let stride = self.stride();
         let mut offset = 0;
         let array = |field: &PcdField| {
@@ -290,7 +290,7 @@ impl Header {
         self.fields.iter().filter_map(array).collect()
     }
 
-    fn arrays_of_fields(&self, data: &[u8]) -> Vec<NamedArray> {
+    fn arrays_of_fields(&self, data: &[u8]) -> Vec<FileAttribute> {
         let mut rest = data;
         let array = |field: &PcdField| {
             let bytes =
@@ -303,7 +303,7 @@ impl Header {
 
 impl PcdField {
     /// The field as an array; `decode` gives its numbers in a type of the same size. `None` for padding.
-    fn array(&self, decode: impl Fn(NumberType) -> Values) -> Option<NamedArray> {
+    fn array(&self, decode: impl Fn(NumberType) -> Values) -> Option<FileAttribute> {
         let PcdField { name, number, count } = self;
         if name == "_" || *count == 0 {
             return None;
@@ -312,12 +312,12 @@ impl PcdField {
         let channels: &[usize] = match (&*name.to_ascii_lowercase(), count, number.size()) {
             ("rgb", 1, 4) => &[2, 1, 0],
             ("rgba", 1, 4) => &[2, 1, 0, 3],
-            _ => return Some(NamedArray { name: name.clone(), arity: *count, values: decode(*number) }),
+            _ => return Some(FileAttribute::new(name.clone(), *count, decode(*number))),
         };
         let Values::I64(packed) = decode(NumberType::U32) else { return None };
         let bytes =
             packed.iter().flat_map(|color| channels.iter().map(|&channel| color.to_le_bytes()[channel]));
-        Some(NamedArray { name: name.clone(), arity: channels.len(), values: Values::U8(bytes.collect()) })
+        Some(FileAttribute::new(name.clone(), channels.len(), Values::U8(bytes.collect())))
     }
 }
 

@@ -18,10 +18,10 @@
 use flate2::{Decompress, FlushDecompress, Status};
 
 use crate::core::bytes::{Cursor, Endian};
-use crate::core::data::ParticleFrame;
+use crate::core::data::{FileAttribute, ParticleFrame};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
-use crate::core::named_arrays::{NamedArray, frame_of};
+use crate::core::named_arrays::frame_of;
 use crate::core::number::NumberType;
 use crate::core::row::{Completeness, FormatRow, HeadCheck, ParticleReader};
 use crate::core::text::{excerpt, excerpts};
@@ -67,7 +67,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let names: Vec<String> = channels.iter().map(|channel| channel.name.clone()).collect();
     let array = |PrtChannel { name, number, arity, offset }| {
         let values = number.decode_strided(&records, Endian::Little, stride.max(1), offset, arity);
-        NamedArray { name, arity, values }
+        FileAttribute::new(name, arity, values)
     };
     let mut frame = frame_of(None, channels.into_iter().map(array).collect()).ok_or_else(|| {
         let what = format!("expected a channel Position with three numbers, found: {}", excerpts(&names));

@@ -15,10 +15,9 @@ use std::sync::Arc;
 
 use super::FORMAT;
 use super::package::{LayerBytes, LimitedBytes};
-use crate::core::data::Values;
+use crate::core::data::{FileAttribute, Values};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
-use crate::core::named_arrays::NamedArray;
 use crate::core::number::NumberType;
 pub(crate) use crate::core::number::wide;
 use crate::usd::usdc::CrateFile;
@@ -306,7 +305,7 @@ impl<'a> Layer<'a> {
     }
 
     /// Reads an array. The table of strings has an element for each element of the array.
-    pub(crate) fn array(&self, place: &ArrayPlace, name: &str) -> Result<NamedArray> {
+    pub(crate) fn array(&self, place: &ArrayPlace, name: &str) -> Result<FileAttribute> {
         let (arity, values) = match (place, &self.source) {
             (ArrayPlace::Binary(rep), LayerSource::Binary(file)) => file.array(*rep, name)?,
             (ArrayPlace::Text(kind, start, end, line), LayerSource::Text(file)) => {
@@ -314,7 +313,7 @@ impl<'a> Layer<'a> {
             }
             _ => return Err(unexpected(name)),
         };
-        Ok(NamedArray { name: name.to_owned(), arity, values })
+        Ok(FileAttribute::new(name, arity, values))
     }
 
     /// A value of a dictionary or of a sample, which a binary file has elsewhere.

@@ -10,10 +10,9 @@ use super::package::LayerBytes;
 use super::place::{PrimMatrix, ancestors, cofactors, determinant, transformed};
 use super::points::distinct;
 use crate::core::container::{OpenFurther, SceneMeshReader};
-use crate::core::data::{MeshData, Values};
+use crate::core::data::{FileAttribute, MeshData, Values};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
-use crate::core::named_arrays::NamedArray;
 use crate::core::row::ReadExternal;
 use crate::core::text::excerpt;
 
@@ -126,7 +125,7 @@ pub(crate) struct PrimMesh {
 
 impl PrimMesh {
     pub(crate) fn read(stage: &ComposedStage, prim: &StagePrim, time: Option<f64>) -> Result<PrimMesh> {
-        let array = |name: &str| -> Result<Option<NamedArray>> {
+        let array = |name: &str| -> Result<Option<FileAttribute>> {
             Ok(stage.array_at(prim, name, time)?.map(|(array, _)| array))
         };
         let points = match array("points")? {

@@ -3,11 +3,10 @@
 use super::FORMAT;
 use super::composed::{ComposedStage, StagePrim, StrongestValue};
 use super::layer::Value;
-use crate::core::data::Values;
+use crate::core::data::{FileAttribute, Values};
 use crate::core::error::{Error, Result};
 use crate::core::matrix::{IDENTITY, product, quaternion_rotation, rotation};
 pub(crate) use crate::core::matrix::{Matrix as PrimMatrix, cofactors, determinant, transformed};
-use crate::core::named_arrays::NamedArray;
 use crate::core::text::excerpt;
 
 fn inverse(m: &PrimMatrix) -> Option<PrimMatrix> {
@@ -58,7 +57,7 @@ impl ComposedStage<'_> {
         prim: &StagePrim,
         name: &str,
         time: Option<f64>,
-    ) -> Result<Option<(NamedArray, bool)>> {
+    ) -> Result<Option<(FileAttribute, bool)>> {
         let Some(value) = self.attribute(prim, name)? else { return Ok(None) };
         let read = |stored: &Value| match stored {
             Value::Array(place) => value.layer().array(place, name).map(Some),

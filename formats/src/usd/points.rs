@@ -17,11 +17,11 @@ use super::composed::{ComposedStage, StagePrim};
 use super::layer::Value;
 use crate::core::columns::role_of;
 use crate::core::container::{ContainerFile, ContainerFrames, ContainerReader, Sample, frame_at};
-use crate::core::data::{AttributeRole, ParticleFrame, Values};
+use crate::core::data::{AttributeRole, FileAttribute, ParticleFrame, Values};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
 use crate::core::matrix::{IDENTITY, change_vectors, transformed};
-use crate::core::named_arrays::{NamedArray, ParticlePart, frame_of_parts, placed};
+use crate::core::named_arrays::{ParticlePart, frame_of_parts, placed};
 use crate::core::number;
 use crate::core::row::{FormatRow, ParticleReader};
 use crate::core::text::{excerpt, excerpts};
@@ -226,7 +226,7 @@ fn read_prim(
 }
 
 /// Removes the primvar `id` if it repeats the ids, as in files that this crate writes.
-fn drop_copied_ids(arrays: &mut Vec<NamedArray>) {
+fn drop_copied_ids(arrays: &mut Vec<FileAttribute>) {
     let of_name = |name: &str| arrays.iter().position(|array| array.name == name && array.arity == 1);
     let (Some(ids), Some(copy)) = (of_name("ids"), of_name(super::ID)) else { return };
     if let (Values::I64(ids), Values::I32(copied)) = (&arrays[ids].values, &arrays[copy].values)
@@ -246,8 +246,8 @@ pub(crate) fn attributes(
     (count, time): (usize, Option<f64>),
     is_skipped: impl Fn(&str) -> bool,
     notes: &mut Vec<String>,
-) -> Result<Vec<NamedArray>> {
-    let mut found: Vec<NamedArray> = Vec::new();
+) -> Result<Vec<FileAttribute>> {
+    let mut found: Vec<FileAttribute> = Vec::new();
     let (mut constant, mut unfit) = (Vec::new(), Vec::new());
     for attribute in stage.attribute_names(prim)? {
         if attribute.ends_with(super::INDICES) || is_skipped(&attribute) {
@@ -266,7 +266,7 @@ pub(crate) fn attributes(
             continue;
         };
         let field = |field: &str| stage.attribute_field(prim, &attribute, field);
-        let mut array = NamedArray { name: name.to_owned(), ..array };
+        let mut array = FileAttribute { name: name.to_owned(), ..array };
         if let Some((indices, _)) = stage.array_at(prim, &format!("{attribute}{}", super::INDICES), time)? {
             let values = match &indices.values {
                 Values::I32(indices) => number::gathered(&array.values, array.arity, indices),

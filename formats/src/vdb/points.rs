@@ -22,10 +22,10 @@ use super::read_tree::{TreeBudget, ValueStorage, outline_of_tree};
 use super::{FORMAT, MetaValue, TYPE_POINTS, Transform, read_metadata};
 use crate::core::blosc::decode_frame;
 use crate::core::bytes::{Cursor, Endian};
-use crate::core::data::{FilePositions, ParticleFrame, Values};
+use crate::core::data::{FileAttribute, FilePositions, ParticleFrame, Values};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
-use crate::core::named_arrays::{NamedArray, ParticlePart, frame_of_parts};
+use crate::core::named_arrays::{ParticlePart, frame_of_parts};
 use crate::core::number::{self, NumberType};
 use crate::core::text::{excerpt, excerpts};
 
@@ -433,7 +433,7 @@ impl PointGrid {
                 (_, Some((_, Values::F32(values)))) if attribute == self.position => {
                     positions = self.world(&values, &voxels, transform);
                 }
-                (_, Some((arity, values))) => arrays.push(NamedArray { name, arity, values }),
+                (_, Some((arity, values))) => arrays.push(FileAttribute::new(name, arity, values)),
                 (_, None) => {}
             }
         }
@@ -444,7 +444,7 @@ impl PointGrid {
                     if bytes.len() == positions.len() && arrays.iter().all(|array| array.name != *name) =>
                 {
                     let values = Values::U8(bytes.iter().map(|byte| byte >> (bit % 8) & 1).collect());
-                    arrays.push(NamedArray { name: name.clone(), arity: 1, values });
+                    arrays.push(FileAttribute::new(name.clone(), 1, values));
                 }
                 _ => notes.push(format!("skipped the group `{}`", excerpt(name))),
             }

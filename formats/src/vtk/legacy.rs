@@ -26,11 +26,11 @@ use super::{
     positions_of,
 };
 use crate::core::bytes::Endian;
-use crate::core::data::{FilePositions, MeshData, ParticleFrame, Values};
+use crate::core::data::{FileAttribute, FilePositions, MeshData, ParticleFrame, Values};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
+use crate::core::named_arrays::ParticlePart;
 use crate::core::named_arrays::frame_of_pieces;
-use crate::core::named_arrays::{NamedArray, ParticlePart};
 use crate::core::number::NumberType;
 use crate::core::number::decimals;
 use crate::core::text::excerpt;
@@ -108,7 +108,7 @@ struct CellList {
 #[derive(Default)]
 struct LegacyData {
     positions: Option<FilePositions>,
-    arrays: Vec<NamedArray>,
+    arrays: Vec<FileAttribute>,
     notes: Vec<String>,
     /// Whether the following arrays have values for points.
     is_of_points: bool,
@@ -437,7 +437,7 @@ impl<'a> File<'a> {
                 self.check_array_count(found)?;
                 let arity = usize::try_from(arity).unwrap_or(usize::MAX);
                 let values = self.values(line, number, size)?;
-                found.arrays.push(NamedArray { name, arity, values });
+                found.arrays.push(FileAttribute::new(name, arity, values));
                 Ok(())
             }
             (Some(Type::Of(number)), _) => self.pass(line, number, size),

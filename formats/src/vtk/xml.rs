@@ -23,11 +23,11 @@ use super::{
     positions_of,
 };
 use crate::core::bytes::Endian;
-use crate::core::data::{FilePositions, MeshData, ParticleFrame};
+use crate::core::data::{FileAttribute, FilePositions, MeshData, ParticleFrame};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
+use crate::core::named_arrays::ParticlePart;
 use crate::core::named_arrays::frame_of_pieces;
-use crate::core::named_arrays::{NamedArray, ParticlePart};
 use crate::core::neighbor::Neighbor;
 use crate::core::number::NumberType;
 use crate::core::text::excerpt;
@@ -384,7 +384,7 @@ fn piece(described: &Described, decoder: &mut ArrayDecoder, notes: &mut Vec<Stri
             continue;
         };
         let values = decoder.values(array, number, count)?;
-        arrays.push(NamedArray { name: array.name.clone(), arity: array.arity, values });
+        arrays.push(FileAttribute::new(array.name.clone(), array.arity, values));
     }
     Ok(ParticlePart { positions, arrays })
 }

@@ -30,11 +30,10 @@ use super::FORMAT;
 use crate::core::batches::ReadAt;
 use crate::core::bytes::{Cursor, Endian};
 use crate::core::columns::position_rank;
-use crate::core::data::Values;
+use crate::core::data::{FileAttribute, Values};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
 use crate::core::lzf;
-use crate::core::named_arrays::NamedArray;
 use crate::core::number::NumberType;
 use crate::core::text::{escaped, excerpt, excerpts};
 
@@ -389,7 +388,7 @@ impl<'a> HdfFile<'a> {
     }
 
     /// Reads some fields of a table, which must be in it.
-    pub(super) fn read(&self, table: HdfTable) -> Result<Vec<NamedArray>> {
+    pub(super) fn read(&self, table: HdfTable) -> Result<Vec<FileAttribute>> {
         let HdfTable { source, fields, row_count, stride } = table;
         self.limits.check_particles(FORMAT, row_count)?;
         // Values may become 64-bit floats later.
@@ -400,7 +399,7 @@ impl<'a> HdfFile<'a> {
             TableSource::Stored(data) => data.read_raw_bytes().map_err(error_of)?,
             TableSource::Stacked(data, step) => {
                 let values = |HdfField { name, arity, number, .. }| {
-                    Ok(NamedArray { name, arity, values: values_of_step(&data, step, number)? })
+                    Ok(FileAttribute::new(name, arity, values_of_step(&data, step, number)?))
                 };
                 return fields.into_iter().map(values).collect();
             }
@@ -410,7 +409,7 @@ impl<'a> HdfFile<'a> {
         };
         let array = |HdfField { name, arity, offset, number, endian }| {
             let values = number.decode_strided(&bytes, endian, stride, offset, arity);
-            NamedArray { name, arity, values }
+            FileAttribute::new(name, arity, values)
         };
         Ok(fields.into_iter().map(array).collect())
     }

@@ -31,12 +31,12 @@ use hdf5_reader::group::Group;
 use crate::core::batches::ReadAt;
 use crate::core::columns::position_rank;
 use crate::core::container::{ContainerFile, ContainerFrames, ContainerReader, ReadFrame, Sample, frame_at};
-use crate::core::data::{FilePositions, ParticleFrame, Values};
+use crate::core::data::{FileAttribute, FilePositions, ParticleFrame, Values};
 use crate::core::error::{Error, Position, Result};
 use crate::core::limits::Limits;
 use crate::core::named_arrays::{
-    ArrayShape, NamedArray, ParticlePart, frame_of, joined_parts, named_position, paired_position,
-    position_count, unnamed_position_count,
+    ArrayShape, ParticlePart, frame_of, joined_parts, named_position, paired_position, position_count,
+    unnamed_position_count,
 };
 use crate::core::number::wide;
 use crate::core::row::{FormatRow, ParticleReader};
@@ -520,7 +520,7 @@ fn frame(file: &HdfFile, mut groups: Vec<ParticleGroup>, mut notes: Vec<String>)
             let (table, count) = (vec![group_name(&group.path).to_owned()], group.particle_count);
             let mut arrays = arrays_of(file, group, &mut notes)?;
             let values = Values::Strings { table, indices: vec![0; count] };
-            arrays.push(NamedArray { name: "species".to_owned(), arity: 1, values });
+            arrays.push(FileAttribute::new("species", 1, values));
             // The positions are still among the arrays.
             parts.push(ParticlePart { positions: FilePositions::F32(vec![[0.0; 3]; count]), arrays });
         }
@@ -538,7 +538,7 @@ fn group_name(path: &str) -> &str {
 }
 
 /// Reads the tables of a group that have a row for each particle.
-fn arrays_of(file: &HdfFile, group: ParticleGroup, notes: &mut Vec<String>) -> Result<Vec<NamedArray>> {
+fn arrays_of(file: &HdfFile, group: ParticleGroup, notes: &mut Vec<String>) -> Result<Vec<FileAttribute>> {
     let mut arrays = Vec::new();
     notes.extend(group.notes);
     for table in group.tables {
@@ -555,7 +555,7 @@ fn arrays_of(file: &HdfFile, group: ParticleGroup, notes: &mut Vec<String>) -> R
         }
     }
     file.limits.check_attributes(FORMAT, arrays.len(), "attributes")?;
-    let offsets: Vec<NamedArray> =
+    let offsets: Vec<FileAttribute> =
         arrays.extract_if(.., |array| array.name.starts_with("positionOffset_")).collect();
     if offsets.iter().any(|offset| wide(&offset.values).iter().any(|&value| value != 0.0)) {
         let what =

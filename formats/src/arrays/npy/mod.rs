@@ -20,11 +20,11 @@ mod header;
 use std::sync::Arc;
 
 use crate::core::columns::position_rank;
-use crate::core::data::{ParticleFrame, Values};
+use crate::core::data::{FileAttribute, ParticleFrame, Values};
 use crate::core::error::{Error, Position, Result};
 use crate::core::first_column::{self, FirstColumn};
 use crate::core::limits::Limits;
-use crate::core::named_arrays::{ArrayShape, NamedArray, frame_of, position_count, unnamed_position_count};
+use crate::core::named_arrays::{ArrayShape, frame_of, position_count, unnamed_position_count};
 use crate::core::number::{self, NumberType, components, interleaved};
 use crate::core::row::{Completeness, FormatRow, HeadCheck, ParticleReader};
 use crate::core::steps::{FoundStep, StepSource};
@@ -63,7 +63,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let mut frame = if is_structured {
         frame_of(None, arrays).ok_or_else(|| no_position(&header))?
     } else {
-        let is_list = |array: &NamedArray| array.arity >= 3 && header.shape.len() >= 2;
+        let is_list = |array: &FileAttribute| array.arity >= 3 && header.shape.len() >= 2;
         let array = arrays.into_iter().find(is_list);
         unnamed_frame(array.ok_or_else(|| no_position(&header))?)?
     };
@@ -175,7 +175,7 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         }
         notes.extend(more);
         arrays.extend(parts.into_iter().map(|array| {
-            if array.name.is_empty() { NamedArray { name: name.into(), ..array } } else { array }
+            if array.name.is_empty() { FileAttribute { name: name.into(), ..array } } else { array }
         }));
     }
     if let ([] | [_], Some(error)) = (&arrays[..], last_unfit) {
@@ -221,7 +221,11 @@ fn within_member(error: Error, name: &str) -> Error {
 }
 
 /// The fields of a structured array, or the array itself without a name.
-fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<NamedArray>, Vec<String>)> {
+fn arrays_of(
+    header: &ArrayHeader,
+    data: &[u8],
+    limits: &Limits,
+) -> Result<(Vec<FileAttribute>, Vec<String>)> {
     let mut notes = Vec::new();
     match &header.layout {
         ElementLayout::Plain { number, endian } => {
@@ -235,18 +239,17 @@ fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<
             } else {
                 number.decode(data, *endian)
             };
-            Ok((vec![NamedArray { name: String::new(), arity: columns, values }], notes))
+            Ok((vec![FileAttribute::new(String::new(), columns, values)], notes))
         }
         ElementLayout::Fields { fields, stride } => {
             limits.check_particles(FORMAT, header.element_count()?)?;
             let mut arrays = Vec::new();
             for StructField { name, offset, arity, number } in fields {
                 match number {
-                    Some((number, endian)) => arrays.push(NamedArray {
-                        name: name.clone(),
-                        arity: *arity,
-                        values: number.decode_strided(data, *endian, *stride, *offset, *arity),
-                    }),
+                    Some((number, endian)) => {
+                        let values = number.decode_strided(data, *endian, *stride, *offset, *arity);
+                        arrays.push(FileAttribute::new(name, *arity, values));
+                    }
                     None => notes.push(format!("skipped the field `{}`: it is not numeric", excerpt(name))),
                 }
             }
@@ -261,8 +264,8 @@ fn arrays_of(header: &ArrayHeader, data: &[u8], limits: &Limits) -> Result<(Vec<
 
 /// A frame from an array without names: its first three columns are the position, unless the first is an id.
 /// All others are attributes.
-pub(crate) fn unnamed_frame(array: NamedArray) -> Result<ParticleFrame> {
-    let NamedArray { arity, values, .. } = array;
+pub(crate) fn unnamed_frame(array: FileAttribute) -> Result<ParticleFrame> {
+    let FileAttribute { arity, values, .. } = array;
     let skipped = match FirstColumn::of(first_numbers(&values, arity).into_iter(), arity) {
         FirstColumn::Coordinate => 0,
         FirstColumn::Id => 1,
@@ -277,10 +280,9 @@ pub(crate) fn unnamed_frame(array: NamedArray) -> Result<ParticleFrame> {
         return Ok(ParticleFrame { positions, ..ParticleFrame::default() });
     }
     let positions = number::positions(components(&values, arity, skipped..skipped + 3)).unwrap_or_default();
-    let column = |index| NamedArray {
-        name: if index == 0 { "id".to_owned() } else { format!("column_{}", index + 1) },
-        arity: 1,
-        values: components(&values, arity, index..index + 1),
+    let column = |index| {
+        let name = if index == 0 { "id".to_owned() } else { format!("column_{}", index + 1) };
+        FileAttribute::new(name, 1, components(&values, arity, index..index + 1))
     };
     let others = (0..skipped).chain(skipped + 3..arity).map(column).collect();
     let mut frame = frame_of(Some(positions), others).unwrap_or_default();
@@ -306,7 +308,7 @@ fn first_numbers(values: &Values, arity: usize) -> Vec<[f64; 4]> {
 }
 
 /// The frame of an archive. Skips arrays that do not have a value for each particle, with a note.
-fn frame_of_archive(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result<ParticleFrame> {
+fn frame_of_archive(mut arrays: Vec<FileAttribute>, notes: &mut Vec<String>) -> Result<ParticleFrame> {
     let described: Vec<_> = arrays.iter().map(ArrayShape::of).collect();
     let count = match position_count(&described).or_else(|| unnamed_position_count(&described)) {
         Some(count) => count,
@@ -328,7 +330,7 @@ fn frame_of_archive(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Res
 }
 
 /// The frame of an archive with a single array: the array is used as the position, whatever its name.
-fn frame_of_only(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result<ParticleFrame> {
+fn frame_of_only(mut arrays: Vec<FileAttribute>, notes: &mut Vec<String>) -> Result<ParticleFrame> {
     let array = match arrays.pop() {
         Some(array) if arrays.is_empty() && array.arity >= 3 => array,
         last => {
@@ -361,8 +363,9 @@ fn no_position(header: &ArrayHeader) -> Error {
     Error::invalid(FORMAT, Position::File, what)
 }
 
-fn no_position_among(arrays: &[NamedArray]) -> Error {
-    let shown = |array: &NamedArray| format!("{} ({}, {})", array.name, array.particle_count(), array.arity);
+fn no_position_among(arrays: &[FileAttribute]) -> Error {
+    let shown =
+        |array: &FileAttribute| format!("{} ({}, {})", array.name, array.particle_count(), array.arity);
     let found: Vec<String> = arrays.iter().take(12).map(shown).collect();
     let what = format!(
         "expected an array `pos` of shape (N, 3), or x, y and z of shape (N); found: {}",

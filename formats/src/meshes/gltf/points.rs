@@ -5,11 +5,11 @@ use ::gltf::{Primitive, Semantic};
 
 use super::read::{Buffers, OpenDocument, invalid, open, placed_meshes, scale_of, spend};
 use super::{ARITY_MAX, FORMAT, VALUE_BYTES, values_of};
-use crate::core::data::{ParticleFrame, Values};
+use crate::core::data::{FileAttribute, ParticleFrame, Values};
 use crate::core::error::{Error, Result};
 use crate::core::limits::Limits;
 use crate::core::matrix::{IDENTITY, Matrix, change_vectors, transformed};
-use crate::core::named_arrays::{NamedArray, ParticlePart, frame_of_parts, placed};
+use crate::core::named_arrays::{ParticlePart, frame_of_parts, placed};
 use crate::core::number::{gathered, positions, wide};
 use crate::core::row::{FormatRow, ParticleReader};
 
@@ -98,7 +98,7 @@ fn part(
         // `_RADIUS` and `COLOR_0`
         let name = semantic.to_string();
         let name = name.trim_start_matches('_').trim_end_matches("_0").to_owned();
-        arrays.push(NamedArray { name, arity, values });
+        arrays.push(FileAttribute::new(name, arity, values));
     }
     if *placement != IDENTITY {
         placed(&mut arrays, placement, "a node", notes);

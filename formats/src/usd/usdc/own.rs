@@ -10,7 +10,6 @@ use crate::core::columns::role_of;
 use crate::core::data::{FileAttribute, MeshData, Values, world};
 use crate::core::error::{Error, Result};
 use crate::core::limits::Limits;
-use crate::core::named_arrays::NamedArray;
 use crate::core::options::UpAxis;
 use crate::core::placed_mesh::PlacedMesh;
 use crate::usd::composed::{ComposedStage, StagePrim};
@@ -102,11 +101,11 @@ impl<'a> UsdcLayer<'a> {
             |name| attribute_of(name).is_none(),
             &mut Vec::new(),
         )?;
-        let attribute = |array: NamedArray| {
+        let attribute = |array: FileAttribute| {
             let has_role =
                 [VELOCITIES, ACCELERATIONS, "displayColor", TEXTURE].contains(&array.name.as_str());
             let role = role_of(&array.name, array.arity).filter(|_| has_role);
-            FileAttribute { name: array.name, arity: array.arity, role, values: array.values }
+            FileAttribute { role, ..array }
         };
         let attributes = arrays.into_iter().map(attribute).collect();
         let [x, y, z, _] = matrix[3];
