@@ -264,6 +264,22 @@ fn invalid_arrays_are_errors() {
         let error = npy::read_archive(&frames, &Limits::default()).unwrap_err().to_string();
         assert!(error.contains(what), "{error}");
     }
+    let several = |name| (name, array(1, "'<f4'", false, "(2, 1, 3)", &six()));
+    for pair in [["q.npy", "qd.npy"], ["F_x.npy", "F_v.npy"]] {
+        let mass = ("mass.npy", array(1, "'<f4'", false, "(2,)", &f32s(&[1.0; 2])));
+        let frames = archive(&[several(pair[0]), several(pair[1]), mass], false);
+        let error = npy::read_archive(&frames, &Limits::default()).unwrap_err().to_string();
+        assert!(error.contains("has several frames"), "{error}");
+    }
+    let tensors =
+        archive(&[("foo.npy", array(1, "'<f4'", false, "(2, 3)", &six())), several("R.npy")], false);
+    let frame = npy::read_archive(&tensors, &Limits::default()).expect("particles");
+    assert_eq!(
+        (frame.positions.len(), &*frame.notes[1]),
+        (2, "skipped `R`: it is (2, 1, 3)"),
+        "{:?}",
+        frame.notes
+    );
     let records = array(1, "[('pos', '<f4', (3,)), ('id', '<f4')]", false, "(2, 1)", &f32s(&[0.5; 8]));
     let error = npy::read_archive(&archive(&[("a.npy", records)], false), &Limits::default()).unwrap_err();
     assert!(error.to_string().contains("`a` has several frames"), "{error}");

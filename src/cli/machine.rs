@@ -49,23 +49,30 @@ pub(super) fn memory_bytes(given: Option<u64>) -> Result<u64> {
 //
 // The frames in flight are discarded; finished ones remain, and `--skip-done` continues from there.
 
-/// Folders to remove when the process is interrupted.
-static FOLDERS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+type LastAct = Box<dyn FnOnce() + Send>;
 
-/// Registers a folder to be removed when the process is interrupted; see [`clean_up_when_interrupted`].
+/// What an interrupted process does before it exits.
+static LAST_ACTS: Mutex<Vec<LastAct>> = Mutex::new(Vec::new());
+
+/// Registers what the process does if it is interrupted; see [`clean_up_when_interrupted`].
+pub(super) fn when_interrupted(act: impl FnOnce() + Send + 'static) {
+    LAST_ACTS.lock().unwrap_or_else(PoisonError::into_inner).push(Box::new(act));
+}
+
+/// Registers a folder to be removed when the process is interrupted.
 pub(super) fn remove_when_interrupted(folder: PathBuf) {
-    FOLDERS.lock().unwrap_or_else(PoisonError::into_inner).push(folder);
+    // The process exits, so a failure cannot be retried.
+    when_interrupted(move || drop(fs::remove_dir_all(folder)));
 }
 
 /// From now on, an interrupted process removes its temporary files before it exits.
 pub(super) fn clean_up_when_interrupted() {
     // Without the handler, everything but the cleanup works.
     let _ = on_stop_requests(|request| {
-        crate::pipeline::stop_writing();
-        for folder in FOLDERS.lock().unwrap_or_else(PoisonError::into_inner).iter() {
-            // The process exits, so a failure cannot be retried.
-            let _ = fs::remove_dir_all(folder);
+        for act in LAST_ACTS.lock().unwrap_or_else(PoisonError::into_inner).drain(..) {
+            act();
         }
+        crate::pipeline::stop_writing();
         std::process::exit(request.status);
     });
 }

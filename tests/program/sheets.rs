@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::fs::{self, File};
-use std::io::BufReader;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::Stdio;
 use std::thread;
@@ -194,9 +194,15 @@ fn sequences_are_one_after_another() {
 }
 
 /// The commands that the run printed.
+/// The commands of the cells, in the order of their numbers, which the line before each has.
 fn commands(out: &str) -> Vec<Vec<&str>> {
-    let lines = out.lines().filter(|line| line.starts_with("meniscus convert "));
-    lines.map(|line| line.split_whitespace().skip(2).collect()).collect()
+    let lines: Vec<&str> = out.lines().collect();
+    let pairs = lines.windows(2).filter(|pair| pair[1].starts_with("meniscus convert "));
+    let numbered =
+        |pair: &[&'_ str]| -> usize { pair[0].split(':').next().expect("a number").parse().expect("it") };
+    let mut pairs: Vec<(usize, &str)> = pairs.map(|pair| (numbered(pair), pair[1])).collect();
+    pairs.sort_unstable();
+    pairs.into_iter().map(|(_, line)| line.split_whitespace().skip(2).collect()).collect()
 }
 
 fn provenance(format: OutputFormat, path: &Path) -> HashMap<String, String> {
@@ -322,6 +328,38 @@ fn sheet_is_there_before_all_cells_are_done() {
     process.wait().expect("it ended");
     let seen = Seen::read(&path.join("t.png"));
     assert!(seen.ink(0, 0, 2) > 0 && seen.ink(9, 4, 2) == 0, "the first cell has a label, the last has none");
+}
+
+#[cfg(unix)]
+#[test]
+fn interrupted_tune_keeps_every_cell_that_it_printed() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("block.ply"), &block(12, 0.0));
+    // The last cell takes minutes.
+    let vary = ["--integrator", "explicit", "--vary", "steps=1,2,3,1000000"];
+    let tune = [&["tune", "block.ply", "-o", "t.png", "--size", SIZE], &vary[..]].concat();
+    let mut process = command(path, &tune).stdout(Stdio::piped()).spawn().expect("the command starts");
+    let out = BufReader::new(process.stdout.take().expect("a pipe"));
+    let printed = out.lines().map_while(Result::ok).filter(|line| line.starts_with("meniscus convert "));
+    assert_eq!(printed.take(3).count(), 3);
+    let sent = std::process::Command::new("kill").args(["-s", "INT", &process.id().to_string()]).status();
+    assert!(sent.expect("the signal is sent").success());
+    assert_eq!(process.wait().expect("it ended").code(), Some(130));
+    let seen = Seen::read(&path.join("t.png"));
+    let inks: Vec<bool> = (0..4).map(|column| seen.ink(column, 0, 2) > 0).collect();
+    assert_eq!(inks, [true, true, true, false]);
+}
+
+#[test]
+fn cells_with_large_voxels_are_computed_first() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("block.ply"), &block(6, 0.0));
+    let tune = ["tune", "block.ply", "-o", "t.png", "--size", SIZE, "--vary", "voxel-size=0.4d,0.9d,0.6d"];
+    let result = meniscus(path, &tune);
+    let labels = result.out.lines().filter_map(|line| line.split_once(": voxel-size "));
+    assert_eq!(labels.map(|(number, _)| number).collect::<Vec<_>>(), ["2", "3", "1"], "{}", result.out);
 }
 
 #[test]

@@ -224,8 +224,7 @@ Exit status:
 pub(super) const STATUS_JSON: &str = "\
 Exit status:
   0    no frame has failed; with FRAME: it has not failed
-  1    some frames have failed; with --config also: nothing is recorded in some
-       of the folders
+  1    some frames have failed; with --config also: a folder cannot be read
   2    nothing is recorded in the folder; with FRAME: nothing is recorded of it
 
 JSON: an object with the following; with --config a list of such objects; with
@@ -242,6 +241,8 @@ FRAME a frame
                                      this state
   counts           the numbers of frames that are done, queued, retrying,
                    waiting, failed
+  spacings         the particle spacings that were measured: sequence, spacing,
+                   and measured_on, the number of frames
   failed, retrying, waiting, last_done, flawed
                    frames, each with input, state, outputs, attempts, settings
                    and at_ms, and if they are known reason, particles, seconds

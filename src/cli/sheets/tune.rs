@@ -10,9 +10,11 @@
 //! A cell is a set of command options with some values replaced. Its settings and its printed command line
 //! come from the same options, so they cannot differ.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::slice;
 use std::str::FromStr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
@@ -21,7 +23,7 @@ use meniscus_formats::{UpAxis, listed};
 use crate::cli::args::{MethodArgs, OptionSet, TuneArgs};
 use crate::cli::console::Console;
 use crate::cli::inputs::{SelectedSequence, find_inputs, only_sequence, selected_of};
-use crate::cli::machine::{memory_bytes, thread_pool};
+use crate::cli::machine::{memory_bytes, thread_pool, when_interrupted};
 use crate::cli::render_session::{
     RenderSession, catch_panic, picture_of_reconstruction, spacing_of, surface_name,
 };
@@ -72,8 +74,19 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Com
     }
     console.show_bar(grid.cells.len());
     let part = tuning.made_from(&grid);
-    let write = |sheet: &Sheet| file.write(sheet, "tune", slice::from_ref(&part));
-    let (counts, written) = pool.install(|| tuning.cells(&grid, &write, console))?;
+    let write = Arc::new(move |sheet: &Sheet| file.write(sheet, "tune", slice::from_ref(&part)));
+    let sheet = Arc::new(Mutex::new(tuning.empty_sheet(&grid)));
+    when_interrupted({
+        let (sheet, write) = (Arc::clone(&sheet), Arc::clone(&write));
+        move || {
+            let sheet = lock(&sheet);
+            if !sheet.footer.is_empty() {
+                // The process exits, so a failure cannot be reported.
+                let _ = write(&sheet);
+            }
+        }
+    });
+    let (counts, written) = pool.install(|| tuning.cells(&grid, &sheet, &*write, console))?;
     console.hide_bar();
     if let Some(written) = written {
         console.print_line(written);
@@ -252,19 +265,25 @@ impl<'a> Tuning<'a> {
         Ok(Tuning { args, session, frame, file: file.clone(), without, settings, viewpoint })
     }
 
-    /// Renders all cells, and writes the sheet now and then. Returns what the last write says, if any cell has a
-    /// picture.
+    /// Renders all cells, those with the largest voxels first, and writes the sheet now and then. Returns what the last
+    /// write says, if any cell has a picture.
     fn cells(
         &self,
         grid: &Grid,
+        sheet: &Mutex<Sheet>,
         write: &dyn Fn(&Sheet) -> Result<String>,
         console: &mut Console,
     ) -> Result<(DoneCounts, Option<String>)> {
         let (mut counts, mut reported) = (DoneCounts::default(), ReportedWarnings::default());
-        let mut sheet = self.empty_sheet(grid);
         let mut next_write: Option<Instant> = None;
-        for (index, (cell, settings)) in grid.cells.iter().zip(&self.settings).enumerate() {
-            let number = index + 1;
+        let mut commands = BTreeMap::new();
+        let voxel_size = |index: usize| {
+            self.settings[index].as_ref().map_or(f64::INFINITY, |settings| settings.voxel_size)
+        };
+        let mut order: Vec<usize> = (0..grid.cells.len()).collect();
+        order.sort_by(|&one, &other| voxel_size(other).total_cmp(&voxel_size(one)));
+        for (done_count, index) in order.into_iter().enumerate() {
+            let (cell, settings, number) = (&grid.cells[index], &self.settings[index], index + 1);
             let label = self.label(number, &grid.label(cell), settings);
             let mut lines = vec![label.clone()];
             let rendered = match settings {
@@ -288,7 +307,7 @@ impl<'a> Tuning<'a> {
                     console.print_line(format_args!("{label}: {seconds:.2} s, {triangles}"));
                     console.print_line(command.text());
                     lines.push(triangles);
-                    sheet.footer.push(format!("{number}: {}", command.short_text()));
+                    commands.insert(number, format!("{number}: {}", command.short_text()));
                     CellPicture::Picture(picture)
                 }
                 Err(error) => {
@@ -297,10 +316,12 @@ impl<'a> Tuning<'a> {
                 }
             };
             console.advance_bar();
+            let mut sheet = lock(sheet);
             sheet.blocks[0].cells[index] = Cell { content, lines };
+            sheet.footer = commands.values().cloned().collect();
             let began = Instant::now();
             let is_due = next_write.is_none_or(|next| began >= next);
-            if counts.done_count > 0 && is_due && number < grid.cells.len() {
+            if counts.done_count > 0 && is_due && done_count + 1 < grid.cells.len() {
                 if let Err(error) = write(&sheet) {
                     // The first one shows whether it can be written at all.
                     if next_write.is_none() {
@@ -311,7 +332,7 @@ impl<'a> Tuning<'a> {
                 next_write = Some(Instant::now() + BETWEEN_WRITES.max(WRITING_SHARE * began.elapsed()));
             }
         }
-        let written = (counts.done_count > 0).then(|| write(&sheet)).transpose()?;
+        let written = (counts.done_count > 0).then(|| write(&lock(sheet))).transpose()?;
         Ok((counts, written))
     }
 
@@ -363,6 +384,10 @@ impl<'a> Tuning<'a> {
     fn name(&self) -> String {
         self.frame.path().file_name().unwrap_or_default().to_string_lossy().into_owned()
     }
+}
+
+fn lock(sheet: &Mutex<Sheet>) -> MutexGuard<'_, Sheet> {
+    sheet.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The spacings of a sequence, each measured once.

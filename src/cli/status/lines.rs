@@ -1,6 +1,6 @@
 //! The status as text.
 
-use super::{DaemonStatus, FrameStatus, StatusCounts, StatusRecord};
+use super::{DaemonStatus, FrameStatus, SequenceSpacing, StatusCounts, StatusRecord};
 use crate::cli::wording::{ago, pluralize, significant};
 
 /// Maximum number of entries printed per list; `--json` has all.
@@ -18,6 +18,7 @@ impl StatusRecord {
             format!("{}: {daemon}", self.output),
             format!("{done} done, {queued} queued, {retrying} to retry, {failed} failed"),
         ];
+        lines.extend(self.spacings.iter().map(SequenceSpacing::text));
         let lists = [
             ("not yet complete", &self.waiting),
             ("failed", &self.failed),
@@ -38,6 +39,20 @@ impl StatusRecord {
 fn more(count: usize) -> Option<String> {
     let more = count.checked_sub(LISTED_MAX).filter(|&more| more > 0)?;
     Some(format!("  and {more} more: --json has them all"))
+}
+
+impl SequenceSpacing {
+    fn text(&self) -> String {
+        let SequenceSpacing { sequence, spacing, measured_on } = self;
+        let spacing = significant(*spacing);
+        // A run that starts when more frames exist may measure another.
+        let advice = match measured_on {
+            1 => format!("; --spacing {spacing} makes every run alike"),
+            _ => String::new(),
+        };
+        let frames = pluralize(*measured_on, "frame");
+        format!("{sequence}: particle spacing {spacing}, measured on {frames}{advice}")
+    }
 }
 
 impl DaemonStatus {

@@ -15,8 +15,8 @@ use anyhow::{Context, Result, bail};
 use serde::{Serialize, Serializer};
 
 use crate::pipeline::{
-    DaemonState, FileStamp, FrameRecords, LatestRecords, RecordedFrame, STATE_FOLDER, UnfinishedRecord,
-    UnfinishedState, file_of, is_absent, is_missing_step, natural_order, now_ms,
+    DaemonState, FileStamp, FrameRecords, LatestRecords, MeasuredSpacing, RecordedFrame, STATE_FOLDER,
+    UnfinishedRecord, UnfinishedState, file_of, is_absent, is_missing_step, natural_order, now_ms,
 };
 use crate::watch::Watch;
 use crate::watch::lock::{LockError, OutputLock};
@@ -34,6 +34,8 @@ struct StatusRecord {
     /// Null if no daemon is known.
     daemon: Option<DaemonStatus>,
     counts: StatusCounts,
+    /// The particle spacings that were measured, by the names of their sequences.
+    spacings: Vec<SequenceSpacing>,
     /// In natural order.
     failed: Vec<FrameStatus>,
     /// In natural order.
@@ -44,6 +46,15 @@ struct StatusRecord {
     last_done: Vec<FrameStatus>,
     /// Finished frames with defects, in natural order.
     flawed: Vec<FrameStatus>,
+}
+
+#[derive(Debug, PartialEq, Serialize)]
+struct SequenceSpacing {
+    sequence: String,
+    /// World units.
+    spacing: f64,
+    /// The number of measured frames.
+    measured_on: usize,
 }
 
 #[derive(Debug, PartialEq, Serialize)]
@@ -231,6 +242,7 @@ impl StatusRecord {
             output: shown(output),
             daemon,
             counts: StatusCounts::default(),
+            spacings: SequenceSpacing::all(state),
             failed: Vec::new(),
             retrying: Vec::new(),
             waiting: Vec::new(),
@@ -266,6 +278,22 @@ impl StatusRecord {
         done.truncate(LAST_DONE_COUNT);
         status.last_done = done;
         status
+    }
+}
+
+impl SequenceSpacing {
+    /// The spacings in the order of the names, each once: they do not depend on most options.
+    fn all(state: &LatestRecords) -> Vec<SequenceSpacing> {
+        let measured = state.sequences.iter().filter_map(|(key, shared)| {
+            let MeasuredSpacing { spacing, measured_count, .. } = *shared.measured.as_ref()?;
+            Some(SequenceSpacing { sequence: key.name.clone(), spacing, measured_on: measured_count })
+        });
+        let mut all: Vec<SequenceSpacing> = measured.collect();
+        all.sort_by(|one, other| {
+            one.sequence.cmp(&other.sequence).then(one.spacing.total_cmp(&other.spacing))
+        });
+        all.dedup();
+        all
     }
 }
 

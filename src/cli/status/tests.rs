@@ -1,7 +1,7 @@
 use std::sync::Arc;
 
 use super::*;
-use crate::pipeline::{DaemonRecord, DoneRecord, Reason, RecordLine};
+use crate::pipeline::{DaemonRecord, DoneRecord, Reason, RecordLine, SequenceKey, SharedSettings};
 use crate::watch::test_records::{done_record, unfinished_record};
 
 fn daemon(state: DaemonState) -> DaemonRecord {
@@ -55,6 +55,29 @@ fn frames_are_counted_and_listed_in_order() {
         ["dam.30.ply", "dam.29.ply", "dam.28.ply", "dam.27.ply", "dam.26.ply"]
     );
     assert_eq!(names(&record.failed)[8..10], ["bad.9.ply", "bad.10.ply"]);
+}
+
+#[test]
+fn spacing_that_was_measured_on_one_frame_is_named_with_the_option_that_fixes_it() {
+    let mut state = LatestRecords::default();
+    for (choices, spacing, measured_count) in [("1", 0.05, 1), ("2", 0.05, 1), ("3", 0.051, 3)] {
+        let key = SequenceKey { folder: "/in".into(), name: "dam.{}.ply".into(), choices: choices.into() };
+        let measured = MeasuredSpacing {
+            spacing,
+            confidence: 1.0,
+            irregularity: None,
+            radius_median: None,
+            measured_on: "/in/dam.1.ply".into(),
+            measured_count,
+            warnings: Vec::new(),
+        };
+        let shared = SharedSettings { measured: Some(measured), ..SharedSettings::default() };
+        state.insert(&RecordLine::Sequence { key, shared: shared.into() });
+    }
+    let lines = record(&state, Holder::Unlocked).lines(0);
+    let of_one =
+        "dam.{}.ply: particle spacing 0.05, measured on 1 frame; --spacing 0.05 makes every run alike";
+    assert_eq!(lines[2..], [of_one, "dam.{}.ply: particle spacing 0.051, measured on 3 frames"]);
 }
 
 #[test]
@@ -118,7 +141,7 @@ fn json_has_the_documented_fields() {
     let record = record(&state, Holder::Daemon("pid 12 on render-04".into()));
     let json = serde_json::to_value(&record).expect("JSON");
     let keys: Vec<&String> = json.as_object().expect("an object").keys().collect();
-    assert_eq!(keys.len(), 8);
+    assert_eq!(keys.len(), 9);
     let help = <crate::cli::args::Cli as clap::CommandFactory>::command()
         .find_subcommand_mut("status")
         .expect("the command")

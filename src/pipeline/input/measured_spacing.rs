@@ -56,8 +56,7 @@ pub struct MeasuredSpacing {
     /// The first measured frame.
     #[serde(with = "path")]
     pub measured_on: PathBuf,
-    /// The number of measured frames, one to three. Not recorded: 0 if this was read from a file.
-    #[serde(skip)]
+    /// The number of measured frames, one to three.
     pub measured_count: usize,
     /// Warnings about the spacing: frames that disagree, or a low confidence. Not recorded.
     #[serde(skip)]

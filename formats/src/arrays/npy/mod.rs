@@ -135,7 +135,7 @@ fn check_shape(header: &ArrayHeader) -> Result<()> {
 pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let mut arrays = Vec::new();
     let mut notes = Vec::new();
-    let (mut pickled, mut last_unfit) = (Vec::new(), None);
+    let (mut pickled, mut last_unfit, mut several) = (Vec::new(), None, None);
     let mut totals = ArchiveTotals::default();
     for member in members(bytes, limits)? {
         let Some(name) = member.name.strip_suffix(".npy") else { continue };
@@ -147,26 +147,31 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
             pickled.push(name.to_owned());
             continue;
         }
-        let mut unfit = check_shape(&header).map_err(within).err();
+        let unfit = check_shape(&header).map_err(within).err();
+        let may_be_position =
+            position_rank(name).is_some() || matches!(header.layout, ElementLayout::Fields { .. });
+        let skipped = || format!("skipped `{}`: it is {}", excerpt(name), header.shown());
         if header.frame_count().is_some() {
             let what = format!(
                 "the array `{}` has several frames, with {}: save it alone, as .npy, or each frame as a file of its own",
                 excerpt(name),
                 header.shown()
             );
-            unfit = Some(Error::unsupported(ARCHIVE, what));
+            let error = Error::unsupported(ARCHIVE, what);
+            if may_be_position {
+                return Err(error);
+            }
+            several.get_or_insert(error);
+            notes.push(skipped());
+            continue;
         }
         // Arrays that are not the position may have any shape. The position may be a field of records.
-        let may_be_position =
-            position_rank(name).is_some() || matches!(header.layout, ElementLayout::Fields { .. });
         if may_be_position && let Some(error) = unfit {
             return Err(error);
         }
         let data = header.data(&content).map_err(within)?;
         let (parts, more) = match (arrays_of(&header, data, limits).map_err(within), &unfit) {
-            (Err(_), Some(_)) => {
-                (Vec::new(), vec![format!("skipped `{}`: it is {}", excerpt(name), header.shown())])
-            }
+            (Err(_), Some(_)) => (Vec::new(), vec![skipped()]),
             (read, _) => read?,
         };
         // A skipped array does not change why the only other one can be unfit.
@@ -181,8 +186,11 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     if let ([] | [_], Some(error)) = (&arrays[..], last_unfit) {
         return Err(error);
     }
-    let mut frame = frame_of_archive(arrays, &mut notes)
-        .map_err(|error| if pickled.is_empty() { error } else { of_pickled(&pickled) })?;
+    let mut frame = frame_of_archive(arrays, &mut notes).map_err(|error| match several {
+        Some(several) => several,
+        None if pickled.is_empty() => error,
+        None => of_pickled(&pickled),
+    })?;
     frame.notes.append(&mut notes);
     Ok(frame)
 }

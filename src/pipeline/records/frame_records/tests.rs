@@ -241,7 +241,7 @@ fn sequence(name: &str, spacing: f64, at_ms: u64) -> RecordLine {
         confidence: 0.1,
         radius_median: Some(spacing.next_down()),
         measured_on: "/in/dam.1.ply".into(),
-        measured_count: 0,
+        measured_count: 3,
         irregularity: Some(0.25),
         warnings: Vec::new(),
     };
