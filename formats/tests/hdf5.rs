@@ -35,7 +35,11 @@ fn described(frame: &ParticleFrame) -> String {
             Values::U8(values) => values.iter().map(|&value| value.into()).collect(),
             Values::I32(values) => values.iter().map(|&value| value.into()).collect(),
             Values::I64(values) => values.iter().map(|&value| value as f64).collect(),
-            Values::Strings { .. } => vec![],
+            Values::Strings { table, indices } => {
+                assert!(indices.iter().all(|&index| index == 0));
+                write!(text, "{} {}; ", attribute.name, table[0]).unwrap();
+                continue;
+            }
         };
         assert_eq!(values.len(), 6 * attribute.arity, "{}", attribute.name);
         let role = attribute.role.map_or("-".into(), |role: AttributeRole| format!("{role:?}"));
@@ -128,7 +132,7 @@ fn steps_and_iterations_are_frames() {
         (
             "openpmd.h5",
             vec![(20, Some(10.0)), (100, Some(50.0))],
-            format!("id 1 Id 100 105; mass 1 Mass 0.125 0.125; velocity {VELOCITY}"),
+            format!("id 1 Id 100 105; mass 1 Mass 0.125 0.125; velocity {VELOCITY} species water;"),
             "positions are in units of 0.001 m",
         ),
         (

@@ -508,13 +508,17 @@ fn count_of(tables: &[HdfTable], count: fn(&[ArrayShape]) -> Option<usize>) -> O
     count(&described)
 }
 
-/// Reads groups. The particles of several ones are joined, and have the name of their group as the attribute
-/// `species`.
+/// Reads groups. Those of openPMD are joined, and their particles have the name of their group as the attribute `species`.
 fn frame(file: &HdfFile, mut groups: Vec<ParticleGroup>, mut notes: Vec<String>) -> Result<ParticleFrame> {
-    let arrays = if let [only] = &mut groups[..] {
+    let are_species = particles_path(file)?.is_some();
+    let arrays = if let [only] = &mut groups[..]
+        && !are_species
+    {
         arrays_of(file, std::mem::take(only), &mut notes)?
     } else {
-        notes.push(format!("joined the particles of {} species", groups.len()));
+        if groups.len() > 1 {
+            notes.push(format!("joined the particles of {} species", groups.len()));
+        }
         let mut parts = Vec::new();
         for group in groups {
             let (table, count) = (vec![group_name(&group.path).to_owned()], group.particle_count);
