@@ -256,7 +256,8 @@ fn preset_warning(
     }
     let suitable = Preset::for_fluid(irregularity);
     Some(format!(
-        "{warning}; use `preset=\"{suitable}\"`, or give `preset=\"fluid\"` if splashes matter more"
+        "{}; use `preset=\"{suitable}\"`, or give `preset=\"fluid\"` if splashes matter more",
+        warning.sentence
     ))
 }
 

@@ -240,7 +240,7 @@ impl<'a> Batch<'a> {
         let printed = self.outcomes.printed.entry(sequence_index).or_default();
         for warning in report.all_warnings() {
             if printed.is_new(&warning) {
-                console.warning(format_args!("{}: {}", shown(&frame.input), warning.advice()));
+                console.warning(format_args!("{}: {warning}", shown(&frame.input)));
             } else {
                 self.outcomes.suppressed_count += 1;
             }

@@ -224,7 +224,7 @@ impl<'a> RenderSession<'a> {
         let is_requested = self.method.options.0.attributes.is_some();
         let is_velocity = |warning: &Warning| warning.subject == VELOCITY;
         for warning in warnings.iter().filter(|warning| is_requested || !is_velocity(warning)) {
-            console.warning(format_args!("{}: {}", file.path.display(), warning.advice()));
+            console.warning(format_args!("{}: {warning}", file.path.display()));
         }
     }
 

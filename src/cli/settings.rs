@@ -84,7 +84,7 @@ pub(super) fn measure_if_needed(
     if let Some(warning) =
         preset_warning(choices, measured.as_ref().and_then(|measured| measured.irregularity))
     {
-        warn(&warning.advice());
+        warn(&warning);
     }
     Ok(measured)
 }

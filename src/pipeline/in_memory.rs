@@ -138,7 +138,7 @@ impl EmbeddedSurface<'_> {
         let format = formats.find(|&format| self.is_checked(format));
         let warnings =
             about_surface.into_iter().chain(left_out(report)).chain(coarse_positions(report, format));
-        warnings.map(|warning| warning.to_string()).collect()
+        warnings.map(|warning| warning.sentence).collect()
     }
 
     /// The warnings about what a file in this format cannot store exactly, one sentence each.

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::surface::words::pluralize;
 
-/// A warning about a converted frame. Its `Display` form is its sentence.
+/// A warning about a converted frame. Its `Display` form is its sentence, and the remedy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Warning {
     /// The fact.
@@ -50,19 +50,12 @@ impl Warning {
     pub(crate) fn with_remedy(self, remedy: impl Into<String>) -> Warning {
         Warning { remedy: Some(remedy.into()), ..self }
     }
-
-    /// The sentence and the options of the program that help.
-    pub fn advice(&self) -> String {
-        match &self.remedy {
-            Some(remedy) => format!("{self}; {remedy}"),
-            None => self.to_string(),
-        }
-    }
 }
 
 impl fmt::Display for Warning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.sentence)
+        f.write_str(&self.sentence)?;
+        self.remedy.iter().try_for_each(|remedy| write!(f, "; {remedy}"))
     }
 }
 

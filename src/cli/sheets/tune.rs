@@ -297,7 +297,7 @@ impl<'a> Tuning<'a> {
                     let of_settings = settings.warnings().into_iter().map(Warning::new);
                     for warning in of_settings.chain(made.warnings.iter().cloned()) {
                         if reported.is_new(&warning) {
-                            console.warning(format_args!("cell {number}: {}", warning.advice()));
+                            console.warning(format_args!("cell {number}: {warning}"));
                         }
                     }
                     let triangles = pluralize(made.surface.report.mesh.triangle_count, "triangle");

@@ -1,6 +1,6 @@
 //! The status as text.
 
-use super::{DaemonStatus, FrameStatus, SequenceSpacing, StatusCounts, StatusRecord};
+use super::{DaemonStatus, FrameStatus, SpacingStatus, StatusCounts, StatusRecord};
 use crate::cli::wording::{ago, pluralize, significant};
 
 /// Maximum number of entries printed per list; `--json` has all.
@@ -18,7 +18,7 @@ impl StatusRecord {
             format!("{}: {daemon}", self.output),
             format!("{done} done, {queued} queued, {retrying} to retry, {failed} failed"),
         ];
-        lines.extend(self.spacings.iter().map(SequenceSpacing::text));
+        lines.extend(self.spacings.iter().map(SpacingStatus::text));
         let lists = [
             ("not yet complete", &self.waiting),
             ("failed", &self.failed),
@@ -41,9 +41,9 @@ fn more(count: usize) -> Option<String> {
     Some(format!("  and {more} more: --json has them all"))
 }
 
-impl SequenceSpacing {
+impl SpacingStatus {
     fn text(&self) -> String {
-        let SequenceSpacing { sequence, spacing, measured_on } = self;
+        let SpacingStatus { sequence, spacing, measured_on } = self;
         let spacing = significant(*spacing);
         // A run that starts when more frames exist may measure another.
         let advice = match measured_on {

@@ -35,7 +35,7 @@ struct StatusRecord {
     daemon: Option<DaemonStatus>,
     counts: StatusCounts,
     /// The particle spacings that were measured, by the names of their sequences.
-    spacings: Vec<SequenceSpacing>,
+    spacings: Vec<SpacingStatus>,
     /// In natural order.
     failed: Vec<FrameStatus>,
     /// In natural order.
@@ -49,7 +49,7 @@ struct StatusRecord {
 }
 
 #[derive(Debug, PartialEq, Serialize)]
-struct SequenceSpacing {
+struct SpacingStatus {
     sequence: String,
     /// World units.
     spacing: f64,
@@ -242,7 +242,7 @@ impl StatusRecord {
             output: shown(output),
             daemon,
             counts: StatusCounts::default(),
-            spacings: SequenceSpacing::all(state),
+            spacings: SpacingStatus::all(state),
             failed: Vec::new(),
             retrying: Vec::new(),
             waiting: Vec::new(),
@@ -281,14 +281,14 @@ impl StatusRecord {
     }
 }
 
-impl SequenceSpacing {
+impl SpacingStatus {
     /// The spacings in the order of the names, each once: they do not depend on most options.
-    fn all(state: &LatestRecords) -> Vec<SequenceSpacing> {
+    fn all(state: &LatestRecords) -> Vec<SpacingStatus> {
         let measured = state.sequences.iter().filter_map(|(key, shared)| {
             let MeasuredSpacing { spacing, measured_count, .. } = *shared.measured.as_ref()?;
-            Some(SequenceSpacing { sequence: key.name.clone(), spacing, measured_on: measured_count })
+            Some(SpacingStatus { sequence: key.name.clone(), spacing, measured_on: measured_count })
         });
-        let mut all: Vec<SequenceSpacing> = measured.collect();
+        let mut all: Vec<SpacingStatus> = measured.collect();
         all.sort_by(|one, other| {
             one.sequence.cmp(&other.sequence).then(one.spacing.total_cmp(&other.spacing))
         });

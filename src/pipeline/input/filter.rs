@@ -185,7 +185,7 @@ mod tests {
         let of = |radii: &[f32]| {
             let mut frame = frame("pscale", Values::F32(radii.to_vec()));
             frame.attributes[0].role = Some(AttributeRole::Radius);
-            various_sizes([&frame.attributes[..]].into_iter()).map(|warning| warning.to_string())
+            various_sizes([&frame.attributes[..]].into_iter()).map(|warning| warning.sentence)
         };
         let expected = "the particles have radii from 0.1 to 0.25 (`pscale`), which are not used";
         assert_eq!(of(&[0.1, 0.25, 0.0, f32::NAN]).as_deref(), Some(expected));
@@ -193,7 +193,7 @@ mod tests {
         assert_eq!(of(&[]), None);
         let of_name = |name, values: &[f32]| {
             let frame = frame(name, Values::F32(values.to_vec()));
-            various_sizes([&frame.attributes[..]].into_iter()).map(|warning| warning.to_string())
+            various_sizes([&frame.attributes[..]].into_iter()).map(|warning| warning.sentence)
         };
         let expected = "the particles have masses from 1 to 8 (`mass`), which are not used";
         assert_eq!(of_name("mass", &[1.0, 8.0, 1.0, 1.0]).as_deref(), Some(expected));
@@ -210,7 +210,7 @@ mod tests {
         let table = || vec!["wall".to_owned(), "fluid".to_owned()];
         let of = |name: &str, values: Values| {
             let parts = [frame(name, values)];
-            several_kinds(parts.iter().map(|part| &part.attributes[..])).map(|warning| warning.to_string())
+            several_kinds(parts.iter().map(|part| &part.attributes[..])).map(|warning| warning.sentence)
         };
         let kinds = of("Mk", Values::I32(vec![10, 2, 10, -1])).expect("three kinds");
         assert!(kinds.contains("`Mk` has 3 values (-1, 2, 10)"), "{kinds}");

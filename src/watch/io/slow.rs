@@ -87,7 +87,8 @@ fn measure(order: MeasureOrder) -> SpacingResult {
             found.map(|found| {
                 let choices = &order.watch.choices;
                 let of_spacing = found.warnings.iter().filter(|_| choices.spacing.is_none()).cloned();
-                let of_preset = preset_warning(choices, found.irregularity).map(|warning| warning.sentence);
+                let of_preset =
+                    preset_warning(choices, found.irregularity).map(|warning| warning.to_string());
                 measured.warnings = of_spacing.chain(of_preset).collect();
                 SharedSettings { measured: Some(found), ..SharedSettings::default() }
             })
