@@ -272,11 +272,11 @@ fn invalid_arrays_are_errors() {
         assert!(error.contains("has several frames"), "{error}");
     }
     let tensors =
-        archive(&[("foo.npy", array(1, "'<f4'", false, "(2, 3)", &six())), several("R.npy")], false);
+        archive(&[("foo.npy", array(1, "'<f4'", false, "(2, 3)", &six())), several("stress.npy")], false);
     let frame = npy::read_archive(&tensors, &Limits::default()).expect("particles");
     assert_eq!(
         (frame.positions.len(), &*frame.notes[1]),
-        (2, "skipped `R`: it is (2, 1, 3)"),
+        (2, "skipped `stress`: it has the shape (2, 1, 3)"),
         "{:?}",
         frame.notes
     );

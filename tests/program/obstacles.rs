@@ -803,7 +803,7 @@ fn plane_is_a_floor_that_is_solid_behind_its_normals() {
     assert_eq!(on_plane["components"], 1, "{on_plane}");
     let volume = |frame: &Value| frame["volume"].as_f64().expect("a volume");
     assert!((volume(&on_plane) / volume(&on_floor) - 1.0).abs() < 1e-3, "{on_plane} {on_floor}");
-    assert!(err.contains("obstacle plane.obj: the mesh has an open sheet, taken as solid behind"), "{err}");
+    assert!(err.contains("obstacle plane.obj: the mesh has 1 open sheet, taken as solid behind"), "{err}");
     assert_eq!(on_plane["obstacles"]["open_edges"], 0);
     assert!(volume(&frame("below").0) < volume(&on_floor), "the other side is solid");
     let refused = run("ring");

@@ -438,7 +438,7 @@ mod tests {
         assert_eq!(ObstacleFiles::new(vec![folder.path().join("b.obj")]).loading_bytes(None), 0);
         let [note] = &loaded.warnings[..] else { panic!("{:?}", loaded.warnings) };
         let note = note.to_string();
-        assert!(note.contains(&*path.to_string_lossy()) && note.contains("an open sheet"), "{note}");
+        assert!(note.contains(&*path.to_string_lossy()) && note.contains("1 open sheet"), "{note}");
     }
 
     #[test]

@@ -34,7 +34,10 @@ pub fn inverse_kernel<V: Lanes>(value: V) -> V {
     V::splat(1.0).sub(root).max(V::splat(0.0)).mul(V::splat(1.0 / SLOPE)).sqrt()
 }
 
-/// q at the level 0.49: with smoothed positions, bodies then have the volume of their particles.
+/// The sum of kernels at the surface.
+pub const LEVEL: f32 = 0.49;
+
+/// q at the [level](LEVEL) of one kernel: with smoothed positions, bodies then have the volume of their particles.
 pub const LEVEL_AT: f32 = 0.450_91;
 
 /// The size of the kernel of a particle without company, relative to one in a sheet: drops are then as large as

@@ -22,7 +22,7 @@ use rustc_hash::FxHashMap;
 
 pub use filter::{ParticleFilter, coordinate, coordinates};
 pub(crate) use filter::{rows, rows_of};
-pub use kernels::{BODY_SCALE, LEVEL_AT, LONE_RADIUS, LONE_SCALE, inverse_kernel, kernel};
+pub use kernels::{BODY_SCALE, LEVEL, LEVEL_AT, LONE_RADIUS, LONE_SCALE, inverse_kernel, kernel};
 pub(crate) use shapes::cube_root;
 pub use shapes::{Ellipsoid, Shapes};
 

@@ -6,7 +6,7 @@
 //!   · n n n n n n n ·      n  near: the surface may pass through
 //!   n n n n n n n n n      +  within the band's margin of a near leaf: distances may be needed
 //!   + k k k k k k k +      k  particles that may be the nearest to a needed voxel or vertex
-//!   d d d d d d d d d      d  deep: every voxel, and every adjacent voxel, is certainly inside S_0
+//!   d d d d d d d d d      d  deep: every voxel, and every adjacent voxel, is inside S_0
 //! ```
 //!
 //! **Leaves.** The band consists of leaves around crossings: voxels inside S_0 with a face neighbor outside.

@@ -33,14 +33,14 @@ use rayon::prelude::*;
 
 use super::bin::ParticleBins;
 use super::distances::OUT_OF_REACH;
-use super::kernels::{High, KernelShape, points_across};
+use super::kernels::{High, KernelShape};
 use super::{EXACT_MARGIN, Radii};
 use crate::cancel::checkpoint;
 use crate::grid::{
     Field, LEAF_EDGE, LEAVES_PER_TASK, Leaf, LeafMask, ROW_COUNT, SetBits, Topology, leaf_steps_within,
 };
 use crate::parallel::Loops as _;
-use crate::particles::{BODY_SCALE, Ellipsoid};
+use crate::particles::Ellipsoid;
 use crate::simd::{self, Kernel, Lanes, greatest};
 use crate::space::CoordBox;
 
@@ -225,11 +225,8 @@ impl<F: ParticleShape> Primitives<F> {
 impl Primitives<KernelShape> {
     /// For each of these leaves, whether it is wanted and the sum of kernels is [`High`].
     pub(super) fn are_high(&self, leaves: &Topology, is_wanted: impl Fn(usize) -> bool + Sync) -> Vec<bool> {
-        let may_be_high = points_across(self.unions.radii[0] * BODY_SCALE).is_some();
         let is_high = |(leaf, &origin): (usize, &IVec3)| {
-            may_be_high
-                && is_wanted(leaf)
-                && simd::dispatch(High { around: &self.around(origin), unions: &self.unions })
+            is_wanted(leaf) && simd::dispatch(High { around: &self.around(origin), unions: &self.unions })
         };
         let origins = leaves.origins().par_iter().enumerate();
         origins.with_max_len(LEAVES_PER_TASK).map(is_high).collect()

@@ -36,7 +36,7 @@ use super::ellipsoid::{
 };
 use crate::grid::{Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, SetBits};
 use crate::parallel::Loops as _;
-use crate::particles::{Ellipsoid, LEVEL_AT, inverse_kernel, kernel};
+use crate::particles::{Ellipsoid, LEVEL, LEVEL_AT, inverse_kernel, kernel};
 use crate::simd::{self, Kernel, Lanes};
 
 /// No point of the initial surface is farther from the nearest particle, in units of its kernel's reach: farther away the
@@ -163,27 +163,30 @@ impl ParticleShape for KernelShape {
     }
 }
 
-/// Kernel: whether F is high at points of a leaf. If it is so in the leaves around, too, F is above the level in and
-/// next to the leaf. The interior of a body then takes neither memory nor time.
+/// Kernel: whether F is high at points of a leaf. If it is so in the leaves around, too, F is taken to be above the level
+/// in and next to the leaf, and fields of the interior of a body are not stored.
 ///
 /// ```text
-///   ×   ×   ×      No voxel is farther than δ from a point. If F were at the level at one, the centre of a void, it
-///                  would grow by 15/R² F r²/2 within a distance of r: the particles around the void are so near that
-///   ×   ×   ×      their sum is at the level. R is the shortest reach.
+///   ×   ×   ×      If F is at the level in the centre of a void, it grows by about 15/R² F r²/2 within a distance of r,
+///                  because the particles around the void are so near that their sum is at the level. R is the
+///   ×   ×   ×      shortest reach of a particle that reaches the leaf.
 /// ```
+///
+/// This is an estimate for even bodies: bubbles of all sizes, in lattices and in random particles, are far below
+/// `HIGH` at some point (`interiors_of_bodies_are_skipped_and_no_bubble_is`).
 pub(super) struct High<'a> {
     pub(super) around: &'a [NearbyLeaf<'a, KernelShape>],
     pub(super) unions: &'a Unions,
 }
 
-/// F at the points. In an even body it is from 0.9 to 1.1.
+/// F at the points. In an even body it is from 0.9 to 1.1, and larger where particles are irregular.
 const HIGH: f32 = 0.85;
 
 /// The number of points across a leaf along x and y that kernels with this reach need, with one for each voxel along
 /// z; `None` if that is more than there are voxels.
 pub(super) fn points_across(reach: f32) -> Option<usize> {
-    // F grows from the level, 0.49, to `HIGH` within this distance.
-    let apart_squared = 2.0 / 15.0 * (HIGH / 0.49 - 1.0) * reach * reach - 0.25;
+    // F grows from the level to `HIGH` within this distance, less half a voxel along z.
+    let apart_squared = 2.0 / 15.0 * (HIGH / LEVEL - 1.0) * reach * reach - 0.25;
     let count = (LEAF_EDGE as f32 / (2.0 * apart_squared.max(0.0)).sqrt()).ceil();
     (count <= LEAF_EDGE as f32).then_some(count as usize)
 }
@@ -193,9 +196,18 @@ impl Kernel for High<'_> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> bool {
-        let shortest = self.around.iter().map(|leaf| leaf.shortest).fold(f32::INFINITY, f32::min);
+        let mut shortest = f32::INFINITY;
+        for leaf in self.around {
+            for (eight, boxes) in leaf.boxes.iter().enumerate() {
+                for lane in SetBits(near_bits::<V>(boxes, leaf.step, &LEAF)) {
+                    shortest = shortest.min(leaf.primitives[8 * eight + lane].shape.shortest());
+                }
+            }
+        }
         let reach = self.unions.radii[0];
-        let Some(count) = points_across(reach * shortest) else { return false };
+        let Some(count) = points_across(reach * shortest).filter(|_| shortest.is_finite()) else {
+            return false;
+        };
         let step = LEAF_EDGE as f32 / count as f32;
         let (per_reach, reach_squared) = (1.0 / reach, V::splat(reach * reach));
         let place = |index: usize| step * (index as f32 + 0.5) - 0.5;

@@ -23,7 +23,6 @@ use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
-use crate::cancel::checkpoint;
 use crate::grid::{LEAF_EDGE, LeafMask, Topology, negative_masks, offset_in_leaf, voxel_in_leaf};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
@@ -58,7 +57,6 @@ impl MeshCells {
         let topology = &*band.topology;
         let masks: Vec<[AtomicU64; 8]> = (0..topology.len()).map(|_| Default::default()).collect();
         mesh.triangles.par_chunks(CHUNK).halved().for_each(|triangles| {
-            checkpoint();
             let marker = Marker { topology, masks: &masks, found: None };
             simd::dispatch(MarkTriangles { mesh, lattice, triangles, marker });
         });

@@ -150,7 +150,7 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         let unfit = check_shape(&header).map_err(within).err();
         let may_be_position =
             position_rank(name).is_some() || matches!(header.layout, ElementLayout::Fields { .. });
-        let skipped = || format!("skipped `{}`: it is {}", excerpt(name), header.shown());
+        let skipped = || format!("skipped `{}`: it has {}", excerpt(name), header.shown());
         if header.frame_count().is_some() {
             let what = format!(
                 "the array `{}` has several frames, with {}: save it alone, as .npy, or each frame as a file of its own",
