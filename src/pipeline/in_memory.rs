@@ -199,7 +199,7 @@ pub fn in_memory_attributes(
     let settings = Settings::resolve(&options, None).map_err(|error| error.message(spelled))?;
     let (attributes, warnings) =
         AttributeRequest::for_settings(&settings).select_with(headers, load, spelled)?;
-    Ok((attributes, warnings.iter().map(ToString::to_string).collect()))
+    Ok((attributes, warnings.into_iter().map(|warning| warning.sentence).collect()))
 }
 
 /// A static obstacle from a file.
